@@ -52,6 +52,7 @@ INSIDE = 1.5  # weight of pixels on the bald head more than beside it: a fringe 
 BALD, BALD_HATTED = 0.012, 0.003  # of the head's pixels: less hair is none
 HATTED = 0.5  # of the scalp's pixels: if more are hidden, the person wears a hat
 UNDER_HATS = ("bob", "crop", "pixie")
+LONG_UNDER_HATS, LONG = ("bob", "layered", "long", "ringlets", "wavy_long"), 0.25  # where so many of the head's pixels are hair
 # how much less red than skin hair must be, as a share of all channels, and of how much of it that cannot be asked
 SKIN_TINT, MOSTLY = 0.02, 0.9
 VARIATION = (0.3, 1.0)  # of the color from lock to lock, by how much the photo has
@@ -181,7 +182,8 @@ def best_grooms(
     hatted = min(stage.hidden for stage in stages) > HATTED
     if max(stage.share for stage in stages) < (BALD_HATTED if hatted else BALD):
         return [Match("", False, 1.0, 1.0)]
-    names = UNDER_HATS if hatted else groom_names()
+    long = max(stage.share for stage in stages) > LONG
+    names = (LONG_UNDER_HATS if long else UNDER_HATS) if hatted else groom_names()
     tried: list[Match] = []
     for number, name in enumerate(names):
         progress(0.6 * number / len(names))
@@ -190,7 +192,7 @@ def best_grooms(
     ranked = sorted(tried, key=_score, reverse=True)
     candidate = _Candidate(ranked[0].name, ranked[0].flipped, head)
     best = max([ranked[0], *(_judged(stages, candidate, ranked[0].length * factor) for factor in FINER)], key=_score)
-    if hatted:
+    if hatted and not long:
         return [best]
     found, likely = [], [match for match in ranked[1:BENT] if match.score > LIKELY_BENT * best.score]
     for number, match in enumerate([best, *likely]):

@@ -34,12 +34,12 @@ BRIDGE_HEIGHT, BRIDGE, BRIDGED = 0.4, (0.3, 0.7), 0.15
 # in the shade have up to 0.17, stubble 0.3, upper lips up to 0.34
 BEARD_ZONE, BEARD_CHIN, BEARD_LIP, LEAST_BEARD, LEAST_MOUSTACHE = 0.016, (0.008, 0.022), (0.003, 0.012), 0.25, 0.5
 BEARD_REACH = 0.06, 0.1  # metres beside and below the lips that a beard may cover
-LEAST_HAT = 0.35  # of hat and hair together; a smaller part is hair in another light
+LEAST_HAT = 0.15  # of hat and hair together; a smaller part is hair in another light
 AROUND_EYES = 4  # of the network's pixels, within which eyes, brows and mouth are not asked whether they are hair
 # of the face: larger pieces of skin that hair parts from eyes and mouth are skin; more hair than one part in so many parts them
 MOST_APART, PASSED = 0.12, 3.0
-# hair or skin by color: steps of each channel, share from which a label is sure, share of the picture that must be, a color's
-# likelihood that is none, how much a color can say, and the share of either from which on the other is not asked
+# one label or another by color: steps of each channel, share from which a label is sure, share of the picture that must be, a
+# color's likelihood that is none, how much a color can say, and the share of either from which on the other is not asked
 COLORS, SURE, LEAST_SURE, LEAST_LIKELY, STRONGEST, DOUBT = 24, 0.8, 0.002, 1e-6, 20.0, 0.08
 PERSON = ("skin", "hair", "brows", "beard", "eyes", "lips", "mouth", "ears", "neck")
 # share of a pixel from which on its color is a thing's, how much likelier than the person's a color must be to be one, and
@@ -133,7 +133,9 @@ def parse(track: Tracked, head: HeadModel) -> PhotoParts:
         eyes = torch.from_numpy(mesh[[tuple(MESH_PARTS).index(name) for name in ("eyes", "mouth")]]).amax(0)[None, None]
         features = widened(eyes[0], AROUND_EYES)[None]
         features = functional.interpolate(features, pixels.shape[2:])[0, 0]
-        divided = _things(_by_color(sharp, pixels[0, :3], features), pixels[0, :3])
+        divided = _by_color(sharp, pixels[0, :3], ("hat", "hair"), torch.ones_like(features))
+        divided = _by_color(divided, pixels[0, :3], ("hair", "skin"), 1.0 - features)
+        divided = _things(divided, pixels[0, :3])
     return PhotoParts(*_enclosed(divided, eyes).numpy())
 
 
@@ -159,27 +161,28 @@ def _enclosed(shares: Tensor, features: Tensor) -> Tensor:
     return divided
 
 
-def _by_color(shares: Tensor, picture: Tensor, features: Tensor) -> Tensor:
-    """Divide what is hair or skin, the network does not know which, by the colors of what surely is one or the other.
+def _by_color(shares: Tensor, picture: Tensor, names: tuple[str, str], asked: Tensor) -> Tensor:
+    """Divide what has one of two labels, the network does not know which, by the colors of what surely has either.
 
     Args:
         shares: Of the labels, [L, H, W].
         picture: [3, H, W].
-        features: 1 around eyes, brows and mouth, whose colors are neither's, [H, W].
+        names: Of the two.
+        asked: 0 where colors are neither's, as of eyes, brows and mouth beside hair and skin, [H, W].
     """
-    hair, skin = (LABELS.index(name) for name in ("hair", "skin"))
-    both = shares[hair] + shares[skin]
-    sure = [shares[label] * (shares[label] > SURE) for label in (hair, skin)]
+    labels = [LABELS.index(name) for name in names]
+    both = shares[labels].sum(0)
+    sure = [shares[label] * (shares[label] > SURE) for label in labels]
     likely = [_likelihood_around(picture, part, _quarters(sure[1])) for part in sure]
     if likely[0] is None or likely[1] is None:
         return shares
     evidence = (likely[0] / likely[1]).log()[None, None]
     ratio = functional.avg_pool2d(evidence, 5, 1, 2, count_include_pad=False)[0, 0].exp().clamp(1.0 / STRONGEST, STRONGEST)
-    told = shares[hair] / both.clamp_min(1e-6)
-    doubtful = (told > DOUBT) & (told < 1.0 - DOUBT) & (features < 0.5)
+    told = shares[labels[0]] / both.clamp_min(1e-6)
+    doubtful = (told > DOUBT) & (told < 1.0 - DOUBT) & (asked > 0.5)
     told = torch.where(doubtful, told * ratio / (told * ratio + 1.0 - told), told)
     divided = shares.clone()
-    divided[hair], divided[skin] = both * told, both * (1.0 - told)
+    divided[labels[0]], divided[labels[1]] = both * told, both * (1.0 - told)
     return divided
 
 

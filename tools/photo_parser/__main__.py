@@ -4,6 +4,7 @@
     python -m tools.photo_parser make CHECKED --count 200 --seed 2 --held-out
     python -m tools.photo_parser train PICTURES --minutes 60 --check CHECKED
     python -m tools.photo_parser compare tests/data/photo_parts.json PHOTO... --tracks TRACKS -o sheet.png
+    python -m tools.photo_parser worn tests/data/photos_worn.json PHOTO... --tracks TRACKS
 
 `make` and `train` may run at the same time: training takes in what is there.
 """
@@ -21,7 +22,7 @@ from grmm_core.files.tensorfile import read_tensors
 from grmm_core.head import load_open_head
 from grmm_core.photo.parser_network import ASSET, ParserNetwork
 
-from .checking import compare
+from .checking import compare, worn
 from .samples import Maker
 from .training import overlaps, save_network, save_shard, train
 
@@ -50,10 +51,18 @@ def main() -> None:
     check.add_argument("photos", type=Path, nargs="+")
     check.add_argument("--tracks", type=Path, required=True, help="folder where tracked photos are kept")
     check.add_argument("-o", "--output", type=Path, required=True, help="PNG")
+    wear = steps.add_parser("worn", help="beards, glasses and hats in photos of which they are known")
+    wear.add_argument("known", type=Path)
+    wear.add_argument("photos", type=Path, nargs="+")
+    wear.add_argument("--tracks", type=Path, required=True, help="folder where tracked photos are kept")
     args = parser.parse_args()
     torch.set_num_threads(1)
     if args.step == "make":
         _make(args)
+        return
+    if args.step == "worn":
+        for name, counts in worn(args.photos, args.known, args.tracks, load_open_head()).items():
+            _say(f"{name:8}" + ", ".join(f"{kind} {count}" for kind, count in counts.items()))
         return
     if args.step == "compare":
         figures = compare(args.photos, args.drawn, args.tracks, load_open_head(), args.output)

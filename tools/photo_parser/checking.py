@@ -19,6 +19,8 @@ GROUPS = {
     "hair": ("hair",), "clothes": ("clothes",), "hat": ("hat",), "glasses": ("glasses",), "other": ("other",),
 }  # fmt: skip
 """What the drawn masks tell apart."""
+WORN = {"beard": 0.003, "glasses": 0.003, "hat": 0.02}
+"""And from which share of the person's pixels on it is seen."""
 COLORS = np.array([
     (40, 40, 60), (230, 180, 150), (90, 50, 20), (0, 0, 0), (150, 80, 0), (255, 255, 255), (220, 40, 60), (255, 120, 200),
     (0, 255, 255), (160, 0, 200), (255, 220, 0), (180, 140, 110), (30, 90, 220), (0, 200, 60),
@@ -36,17 +38,13 @@ def compare(photos: list[Path], drawn: Path, tracks: Path, head: HeadModel, shee
         head: To track with.
         sheet: PNG to write: photo, labels, drawn masks.
     """
-    tracks.mkdir(parents=True, exist_ok=True)
     result, rows = {}, []
     by_hash = {hashlib.sha256(path.read_bytes()).hexdigest()[:16]: path for path in photos}
     for key, polygons in json.loads(drawn.read_text()).items():
         digest, face = key.split("#")
         if digest not in by_hash:
             continue
-        kept = tracks / f"{digest}_{face}.safetensors"
-        if not kept.exists():
-            save_tracks(kept, track_photos([by_hash[digest]], head, faces=[int(face)]))
-        track = load_tracks(kept)[0]
+        track = _tracked(by_hash[digest], int(face), tracks, head)
         parts = parse(track, head)
         wanted = painted(polygons, track)
         result[f"{by_hash[digest].name}#{face}"] = overlaps(parts, wanted, track.valid > 0.5)
@@ -56,6 +54,41 @@ def compare(photos: list[Path], drawn: Path, tracks: Path, head: HeadModel, shee
     rows += [0 * rows[-1]] * (len(rows) % 2)
     Image.fromarray(np.concatenate([np.concatenate(rows[0::2]), np.concatenate(rows[1::2])], 1)).save(sheet)
     return result
+
+
+def worn(photos: list[Path], known: Path, tracks: Path, head: HeadModel) -> dict[str, dict[str, int]]:
+    """In how many photos beards, glasses and hats are found, missed, and seen where there are none.
+
+    Args:
+        photos: Files; those that are not known are left aside.
+        known: JSON: "HASH#FACE" to {"worn": [...], "perhaps": [...]}, the latter for stubble, which does not count.
+        tracks: Folder where tracked photos are kept.
+        head: To track with.
+    """
+    entries = json.loads(known.read_text())
+    counts = {name: dict.fromkeys(("found", "missed", "false"), 0) for name in WORN}
+    for path in photos:
+        key = hashlib.sha256(path.read_bytes()).hexdigest()[:16] + "#0"
+        if key not in entries:
+            continue
+        parts = parse(_tracked(path, 0, tracks, head), head)
+        person = float((1.0 - parts.background).sum())
+        for name, least in WORN.items():
+            seen = float((getattr(parts, name) > 0.5).sum()) > least * person
+            if name in entries[key]["worn"]:
+                counts[name]["found" if seen else "missed"] += 1
+            elif name not in entries[key].get("perhaps", ()):
+                counts[name]["false"] += seen
+    return counts
+
+
+def _tracked(path: Path, face: int, tracks: Path, head: HeadModel) -> PhotoTrack:
+    """A photo as it was tracked before, or is now."""
+    tracks.mkdir(parents=True, exist_ok=True)
+    kept = tracks / f"{hashlib.sha256(path.read_bytes()).hexdigest()[:16]}_{face}.safetensors"
+    if not kept.exists():
+        save_tracks(kept, track_photos([path], head, faces=[face]))
+    return load_tracks(kept)[0]
 
 
 def painted(polygons: list[tuple[str, list[list[int]]]], track: PhotoTrack) -> np.ndarray:

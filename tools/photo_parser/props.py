@@ -7,6 +7,7 @@ import numpy as np
 from grmm_core.geometry.triangles import vertex_normals
 from grmm_core.geometry.zbuffer import EMPTY, triangle_depth
 from grmm_core.head import HeadModel
+from grmm_core.photo.parser import LABELS
 
 from .drawn import Drawn, Generator, Surface, any_color, noise, pattern, smooth, tube
 
@@ -105,9 +106,15 @@ class Hat:
     """A hat: what of the hair it hides, and itself."""
 
     def __init__(self, g: Generator) -> None:
-        self.kind = str(g.choice(["cap", "beanie", "brim", "officer", "scarf", "helmet"]))
+        kinds = ["cap", "beanie", "brim", "crown", "officer", "scarf", "helmet"]
+        self.kind = str(g.choice(kinds, p=[0.2, 0.2, 0.12, 0.3, 0.06, 0.06, 0.06]))
+        self._plain = any_color(g, np.full(3, 0.3), np.full(3, 0.02)) if g.random() < 0.7 else None
+        if self._plain is not None and g.random() < 0.5:  # as dark as hair
+            self._plain = g.uniform(0.003, 0.04) * g.uniform(0.8, 1.2, 3)
         self.height = g.uniform(0.055, 0.085) if self.kind != "beanie" else g.uniform(0.04, 0.075)
-        self.slope = g.uniform(0.0, 0.55) if self.kind != "scarf" else 0.0
+        if self.kind == "crown":
+            self.height = g.uniform(0.055, 0.1)
+        self.slope = g.uniform(0.0, 0.55 if self.kind != "crown" else 0.9) if self.kind != "scarf" else 0.0
         self.out = g.uniform(0.008, 0.02) if self.kind != "helmet" else g.uniform(0.03, 0.05)
 
     def above(self, points: np.ndarray) -> np.ndarray:
@@ -140,11 +147,14 @@ class Hat:
             wide, high = g.uniform(0.052, 0.066), g.uniform(0.07, 0.088)
             worn = shell.seen & ~(((x / wide) ** 2 + ((y - 0.012) / high) ** 2 < 1) & (z > 0.0)) & (y > -0.15)
         worn &= shell.depth < drawn.depth + 0.02
-        drawn.lay(worn.astype(float), pattern(g, shell.points, skin, hair), "hat", shell.normals, shell.depth)
-        if self.kind in ("cap", "brim", "officer") and g.random() < 0.9:
-            reach = 2 * np.pi if self.kind == "brim" else g.uniform(1.0, 2.0)
+        self._cover(drawn, shell, worn, g, skin, hair)
+        if self.kind == "crown":
+            self._crown(drawn, g, skin, hair)
+        if self.kind in ("cap", "brim", "officer", "crown") and g.random() < 0.9:
+            around = self.kind in ("brim", "crown")
+            reach = 2 * np.pi if around else g.uniform(1.0, 2.0)
             angle = np.pi / 2 + np.linspace(-reach / 2, reach / 2, 40)
-            rings, wide = [], g.uniform(0.035, 0.085)
+            rings, wide = [], g.uniform(0.035, 0.13 if around else 0.085)
             for share in (0.0, 0.5, 1.0):
                 r = 0.078 + self.out + wide * share
                 p = np.stack([0.95 * r * np.cos(angle), np.zeros(40), 1.08 * r * np.sin(angle)], -1)
@@ -157,11 +167,59 @@ class Hat:
                 )
                 rings.append(p)
             rim = Surface.of(tube(np.stack(rings)), drawn.camera)
-            color = pattern(g, rim.points, skin, hair) if g.random() < 0.5 else any_color(g, skin, hair)
-            drawn.lay((rim.seen & (rim.depth < drawn.depth)).astype(float), color, "hat", rim.normals, rim.depth)
+            self._cover(drawn, rim, rim.seen & (rim.depth < drawn.depth), g, skin, hair)
         if g.random() < 0.35:  # a badge
             spot = (x / g.uniform(0.01, 0.03)) ** 2 + ((self.above(shell.points) - 0.03) / g.uniform(0.008, 0.02)) ** 2 < 1
             drawn.lay((worn & spot & (z > 0)).astype(float), any_color(g, skin, hair), None)
+
+    def _cover(self, drawn: Drawn, part: Surface, worn: np.ndarray, g: Generator, skin: np.ndarray, hair: np.ndarray) -> None:
+        """Lay a part of it over the picture, in one plain color of the whole hat or in any."""
+        color = pattern(g, part.points, skin, hair)
+        if self._plain is not None:
+            color = self._plain * (1 + 0.15 * noise(g, len(worn), 5, 5)[..., None])
+        drawn.lay(worn.astype(float), np.clip(color, 0.001, 1.0), "hat", part.normals, part.depth)
+
+    def _crown(self, drawn: Drawn, g: Generator, skin: np.ndarray, hair: np.ndarray) -> None:
+        """What of a felt or straw hat stands over the head, with the dent on its top and sometimes a ribbon."""
+        angle, high = np.linspace(0, 2 * np.pi, 40, endpoint=False), g.uniform(0.085, 0.135)
+        narrow, dent, radius = g.uniform(0.7, 0.95), g.uniform(0.0, 0.02), 0.08 + self.out
+        rings = []
+        for up, share in ((0.0, 1.0), (0.5, 0.5 + 0.5 * narrow), (0.9, narrow), (1.0, 0.85 * narrow), (1.0 - dent / high, 0.0)):
+            x, z = 0.95 * radius * share * np.cos(angle), 1.08 * radius * share * np.sin(angle)
+            rings.append(np.stack([x, self.height + high * up + self.slope * (z - 0.09) * 0.6, z], -1))
+        crown = Surface.of(tube(np.stack(rings)), drawn.camera)
+        there = crown.seen & (crown.depth < drawn.depth + 0.03)
+        self._cover(drawn, crown, there, g, skin, hair)
+        if g.random() < 0.5:
+            above = self.above(crown.points)
+            drawn.lay((there & (above > 0.0) & (above < g.uniform(0.015, 0.04))).astype(float), any_color(g, skin, hair), None)
+
+
+def make_up(drawn: Drawn, vertices: np.ndarray, head: HeadModel, g: Generator) -> None:
+    """Darken lids, lashes and sockets, and redden lips: what is dark around eyes is not always glasses."""
+    size = len(drawn.cover)
+    rows, columns = np.mgrid[:size, :size] + 0.5
+    unit_ = drawn.camera.fx / float(np.linalg.norm(drawn.camera.position - vertices.mean(0)))  # pixels of a metre
+    factor = np.ones((size, size, 3))
+    tone, depth = np.exp(g.normal(0, 0.25, 3)), g.uniform(0.2, 0.85)
+    wide, high = g.uniform(0.013, 0.019), g.uniform(0.005, 0.011)
+    lift, power = g.uniform(-0.001, 0.004), g.uniform(1.0, 3.0)
+    for name in ("left", "right"):
+        eye = drawn.camera.project(vertices[head.regions[f"{name}_eyeball"]].mean(0)[None])[1][0]
+        x, y = (columns - eye[0]) / (wide * unit_), (rows - eye[1] + lift * unit_) / (high * unit_)
+        factor *= 1 - (depth * np.exp(-((x * x + y * y) ** power)))[..., None] * np.clip(tone, 0.5, 1.0)
+    if g.random() < 0.5:
+        lips = drawn.labels == LABELS.index("lips")
+        factor[lips] *= g.uniform(0.3, 1.0) * np.array([1.2, g.uniform(0.2, 0.9), g.uniform(0.2, 0.9)])
+    drawn.color, drawn.lit = drawn.color * factor, drawn.lit * factor
+
+
+def shade_throat(drawn: Drawn, g: Generator) -> None:
+    """Darken what faces down, chin and throat, as hair, collar and lamps above do: such shade is no beard."""
+    down = smooth(g.uniform(-0.3, 0.1), g.uniform(0.3, 0.8), -drawn.normals[..., 1])
+    down = np.maximum(down, (drawn.labels == LABELS.index("neck")) * g.uniform(0.3, 1.0))
+    factor = 1 - g.uniform(0.3, 0.9) * (down * drawn.bare)[..., None] * np.clip(np.exp(g.normal(0, 0.1, 3)), 0.7, 1.0)
+    drawn.color, drawn.lit = drawn.color * factor, drawn.lit * factor
 
 
 def glasses(drawn: Drawn, head: HeadModel, vertices: np.ndarray, g: Generator) -> None:
@@ -208,7 +266,7 @@ def occluder(drawn: Drawn, g: Generator, skin: np.ndarray, hair: np.ndarray, fac
     size = len(drawn.cover)
     rows, columns = np.mgrid[:size, :size] + 0.5
     unit = size / 128.0
-    kind = g.choice(["hand", "microphone", "thing"], p=[0.35, 0.4, 0.25])
+    kind = g.choice(["hand", "microphone", "thing", "board"], p=[0.3, 0.3, 0.2, 0.2])
     at = face + g.normal(0, 16, 2) * unit
     cover = np.zeros((size, size))
     if kind == "hand":
@@ -229,13 +287,13 @@ def occluder(drawn: Drawn, g: Generator, skin: np.ndarray, hair: np.ndarray, fac
         cover = np.maximum(ball, smooth(0.0, 0.3, _capsule(columns, rows, at, foot, g.uniform(1.0, 3.5) * unit)))
         color = any_color(g, np.full(3, 0.02), np.full(3, 0.3)) * (1 + 0.4 * noise(g, size, 5, 8))[..., None]
     else:
-        turn = g.uniform(0, np.pi)
+        turn, wide, high, power = g.uniform(0, np.pi), g.uniform(5, 25) * unit, g.uniform(4, 16) * unit, g.uniform(2, 8)
+        if kind == "board":  # before up to half of the face, from a side
+            turn, wide, high, power = g.normal(0, 0.15), g.uniform(14, 34) * unit, g.uniform(14, 45) * unit, 12.0
+            at = face + np.array([g.choice([-1, 1]) * (wide + g.uniform(-4, 14) * unit), g.normal(-8, 14) * unit])
         u = (columns - at[0]) * np.cos(turn) + (rows - at[1]) * np.sin(turn)
         v = (rows - at[1]) * np.cos(turn) - (columns - at[0]) * np.sin(turn)
-        power = g.uniform(2, 8)
-        cover = smooth(
-            1.15, 0.9, np.abs(u / (g.uniform(5, 25) * unit)) ** power + np.abs(v / (g.uniform(4, 16) * unit)) ** power
-        )
+        cover = smooth(1.15, 0.9, np.abs(u / wide) ** power + np.abs(v / high) ** power)
         color = pattern(g, np.stack([columns, rows, rows], -1) / (unit * 280), skin, hair)
     drawn.lay(
         cover,
@@ -244,6 +302,21 @@ def occluder(drawn: Drawn, g: Generator, skin: np.ndarray, hair: np.ndarray, fac
         -drawn.camera.forward,
         np.where(cover > 0.5, drawn.depth.min() - 0.02, drawn.depth),
     )
+
+
+def leaves(drawn: Drawn, g: Generator, skin: np.ndarray, hair: np.ndarray, face: np.ndarray) -> None:
+    """Leaves, cloth or arms around the face and before what is beside it."""
+    size = len(drawn.cover)
+    rows, columns = np.mgrid[:size, :size] + 0.5
+    color = any_color(g, skin, hair)
+    for _ in range(int(g.integers(2, 7))):
+        away, turn = g.uniform(0, 2 * np.pi), g.uniform(0, np.pi)
+        at = face + np.array([np.cos(away), np.sin(away) - 0.4]) * g.uniform(0.22, 0.45) * size
+        u = (columns - at[0]) * np.cos(turn) + (rows - at[1]) * np.sin(turn)
+        v = (rows - at[1]) * np.cos(turn) - (columns - at[0]) * np.sin(turn)
+        cover = smooth(1.1, 0.9, (u / (g.uniform(0.1, 0.3) * size)) ** 2 + np.abs(v / (g.uniform(0.04, 0.12) * size)) ** 1.5)
+        tint = np.clip(color * np.exp(g.normal(0, 0.3)) * (1 + 0.25 * noise(g, size, 5, 6)[..., None]), 0.001, 1.0)
+        drawn.lay(cover, tint, "other", -drawn.camera.forward, np.where(cover > 0.5, drawn.depth.min() - 0.02, drawn.depth))
 
 
 def _capsule(columns: np.ndarray, rows: np.ndarray, start: np.ndarray, end: np.ndarray, radius: float) -> np.ndarray:

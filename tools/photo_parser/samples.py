@@ -29,12 +29,12 @@ from grmm_core.splat.types import GaussianArrays
 
 from .bare_people import People, Posed
 from .drawn import Drawn, Generator, noise, smooth, unit
-from .props import Hat, dress, glasses, occluder
+from .props import Hat, dress, glasses, leaves, make_up, occluder, shade_throat
 from .surroundings import background, blurred, lit
 
 IGNORED = 255  # label of pixels beyond the photo's edge
 DETAIL = {SCALP: 0.5, BROWS: 1.0, BEARD: 0.7, LASHES: 1.0}  # share of the strands of grooms that are drawn
-BEARDED = 0.3  # of the people
+BEARDED = 0.4  # of the people
 VISIBLE = 0.3  # of the skin's color that a beard or brow must change to be seen: shade under a chin is none
 NAMES = list(MESH_PARTS)
 
@@ -75,21 +75,28 @@ class Maker:
         self._last = posed
         drawn, limits = self._base(posed, g)
         skin, found = self._label(drawn, posed.vertices)
+        if g.random() < 0.45:
+            make_up(drawn, posed.vertices, self.head, g)
+        if g.random() < 0.35:
+            shade_throat(drawn, g)
         blocks = self._grooms[int(g.integers(len(self._grooms)))]
         settings = _settings(g)
+        beard = _beard_settings(settings, g)
         hair = _hair_color(settings)
         bald = g.random() < 0.07
         _paint_scalp(drawn, found, skin, None if bald or g.random() < 0.05 else hair, g.uniform(0.35, 0.95))
-        hat = Hat(g) if g.random() < 0.2 else None
+        hat = Hat(g) if g.random() < 0.4 else None
         hiding = dress(drawn, self.head, posed.vertices, g, skin, hair)
-        self._hair(drawn, posed.vertices, blocks, settings, hat, bald, hiding)
+        self._hair(drawn, posed.vertices, blocks, {SCALP: settings, BEARD: beard}, hat, bald, hiding)
         if g.random() < 0.28:
             glasses(drawn, self.head, posed.vertices, g)
         if hat is not None:
             hat.draw(drawn, self.head, posed.vertices, g, skin, hair)
         mouth = drawn.camera.project(posed.vertices[self.head.regions["lips"]].mean(0)[None])[1][0]
-        if g.random() < 0.28:
+        if g.random() < 0.4:
             occluder(drawn, g, skin, hair, mouth)
+        if g.random() < 0.05:
+            leaves(drawn, g, skin, hair, mouth)
         cover = drawn.cover.copy()
         image = lit(drawn, posed.light, g)
         ground = background(g, skin, hair) * (g.uniform(1.2, 3.0) if posed.light.backlit else np.exp(g.normal(0, 0.3)))
@@ -158,7 +165,7 @@ class Maker:
         drawn: Drawn,
         vertices: np.ndarray,
         blocks: tuple[StrandBlock, ...],
-        settings: HairSettings,
+        settings: dict[int, HairSettings],
         hat: Hat | None,
         bald: bool,
         hiding: np.ndarray,
@@ -174,12 +181,8 @@ class Maker:
         made, groups = [], []
         for block, share in zip(blocks, shares, strict=True):
             origin, axes = (part.astype(np.float32) for part in block.frames.at(vertices))
-            points = np.matmul(block.styled(settings), axes) + origin[:, None]
-            own = (
-                settings
-                if block.group == 0
-                else settings.changed(length=1.0, grey=settings.grey * 0.6, melanin=min(1.0, settings.melanin + 0.1))
-            )
+            own = settings.get(block.group) or _darker(settings[SCALP])
+            points = np.matmul(block.styled(own), axes) + origin[:, None]
             made.append(strand_gaussians(block, points, axes, own, share, eye, shield))
             groups.append(np.full(len(made[-1].means), block.group))
         joined = StrandGaussians(*(np.concatenate(arrays) for arrays in zip(*made, strict=True)))
@@ -277,6 +280,17 @@ def _settings(g: Generator) -> HairSettings:
         tips=g.uniform(-0.3, 0.5), dye=0.9 if dyed else 0.0, dye_red=g.random(), dye_green=g.random(), dye_blue=g.random(),
         sheen=g.uniform(0.0, 2.2),
     )  # fmt: skip
+
+
+def _darker(scalp: HairSettings) -> HairSettings:
+    """Of brows, lashes and beard beside scalp hair."""
+    return scalp.changed(length=1.0, density=1.0, grey=scalp.grey * 0.6, melanin=min(1.0, scalp.melanin + 0.1))
+
+
+def _beard_settings(scalp: HairSettings, g: Generator) -> HairSettings:
+    """Of a beard: from shaved yesterday to one that hangs on the chest."""
+    longer = float(np.clip(np.exp(g.normal(0.0, 0.5)), 0.3, 3.0)) if g.random() < 0.65 else float(g.uniform(2.0, 5.0))
+    return _darker(scalp).changed(length=longer, density=float(g.choice([1.0, g.uniform(0.3, 1.0)])))
 
 
 def _hair_color(settings: HairSettings) -> np.ndarray:

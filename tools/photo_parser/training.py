@@ -20,6 +20,9 @@ from .samples import IGNORED, Sample
 BATCH = 8
 DECAY = 1e-4
 PASTED = 0.25  # share of the samples that get another picture as their background
+TONED = 0.4  # share in which a label has another tone, and less or more of its texture
+# by how much, of the logarithm: what hats, hair and cloth look like is told by where they are and by their outlines
+REPAINTED = {"hair": 0.5, "hat": 0.7, "clothes": 0.7, "beard": 0.35, "neck": 0.25}
 AVERAGED = 0.99  # share of the running mean of weights that a step keeps
 MASK = 3  # channel of the person's mask; validity and the mesh's parts follow
 STARTS = {"scalp": "hair"}  # labels that parts of the mesh are taken for at first, where not their own
@@ -72,10 +75,17 @@ def varied(picture: Tensor, mesh: Tensor, labels: Tensor, g: np.random.Generator
         return torch.from_numpy(values).float().view(count, -1, 1, 1)
 
     image, valid = picture[:, :3], picture[:, 4:5]
-    image = image.clamp(1e-3, 1) ** each(np.exp(g.normal(0, 0.18, (count, 1)))) * each(np.exp(g.normal(0, 0.07, (count, 3))))
+    for name, most in REPAINTED.items():
+        there = (labels == LABELS.index(name))[:, None].float()
+        mean = (image * there).sum((2, 3), keepdim=True) / there.sum((2, 3), keepdim=True).clamp_min(1.0)
+        tone = each(np.exp(g.normal(0, most, (count, 1)))) * each(np.exp(g.normal(0, 0.4 * most, (count, 3))))
+        painted = (mean + (image - mean) * each(g.uniform(0.0, 1.3, (count, 1)))) * tone
+        there = functional.avg_pool2d(there, 3, 1, 1) * each(g.random((count, 1)) < TONED)
+        image = image + (painted - image) * there
+    image = image.clamp(1e-3, 1) ** each(np.exp(g.normal(0, 0.25, (count, 1)))) * each(np.exp(g.normal(0, 0.12, (count, 3))))
     grey = image.mean(1, keepdim=True)
-    image = grey + (image - grey) * each(np.where(g.random((count, 1)) < 0.08, 0.0, np.exp(g.normal(0, 0.2, (count, 1)))))
-    image = 0.5 + (image - 0.5) * each(np.exp(g.normal(0, 0.15, (count, 1)))) + each(g.normal(0, 0.03, (count, 1)))
+    image = grey + (image - grey) * each(np.where(g.random((count, 1)) < 0.1, 0.0, np.exp(g.normal(0, 0.3, (count, 1)))))
+    image = 0.5 + (image - 0.5) * each(np.exp(g.normal(0, 0.25, (count, 1)))) + each(g.normal(0, 0.05, (count, 1)))
     noisy = each(0.06 * g.random((count, 1)) ** 3)
     image = torch.where(valid > 0, image + noisy * torch.randn_like(image), torch.full_like(image, 0.5)).clamp(0, 1)
     return torch.cat([image, picture[:, 3:]], 1), mesh, labels

@@ -72,6 +72,21 @@ def test_long_hair_is_not_bent_to_short_hair(monkeypatch):
     assert [match.name for match in matches] == ["crop"]
 
 
+def test_long_hair_below_a_hat_is_long(monkeypatch):
+    head, shown = load_open_head(), photo(library_groom("long"), HairSettings(melanin=0.6), 10.0)
+    monkeypatch.setattr(hair_stage, "LONG_UNDER_HATS", ("bob", "long"))
+    brim = int(shown.camera.project(np.array([[0.0, 0.07, 0.09]]))[1][0, 1])
+    hair, counts = shown.hair.copy(), shown.counts.copy()
+    hair[:brim] = counts[:brim] = 0.0
+    match, *_ = best_grooms([replace(shown, hair=hair, counts=counts)], head)
+    assert match.name == "long"
+    assert match.field is not None, "what shows of it is bent to"
+    hair[int(0.45 * len(hair)) :] = 0.0
+    match, *_ = best_grooms([replace(shown, hair=hair, counts=counts)], head)
+    assert match.name in hair_stage.UNDER_HATS
+    assert match.field is None
+
+
 def test_hair_that_hardly_shows_is_not_dyed():
     """Blue of a sky in the few pixels beside a hat made a lilac head of hair; where all of it shows, it may be lilac."""
     head, groom = load_open_head(), library_groom("bob")

@@ -1,4 +1,4 @@
-"""What people wear and hold, as simple meshes and shapes: clothes, hats, glasses, hands, microphones. Numpy only."""
+"""What people wear, hold and put on, as simple meshes and shapes: clothes, hats, glasses, makeup, hands. Numpy only."""
 
 from __future__ import annotations
 
@@ -199,14 +199,14 @@ def make_up(drawn: Drawn, vertices: np.ndarray, head: HeadModel, g: Generator) -
     """Darken lids, lashes and sockets, and redden lips: what is dark around eyes is not always glasses."""
     size = len(drawn.cover)
     rows, columns = np.mgrid[:size, :size] + 0.5
-    unit_ = drawn.camera.fx / float(np.linalg.norm(drawn.camera.position - vertices.mean(0)))  # pixels of a metre
+    metre = drawn.camera.fx / float(np.linalg.norm(drawn.camera.position - vertices.mean(0)))  # pixels of a metre
     factor = np.ones((size, size, 3))
     tone, depth = np.exp(g.normal(0, 0.25, 3)), g.uniform(0.2, 0.85)
     wide, high = g.uniform(0.013, 0.019), g.uniform(0.005, 0.011)
     lift, power = g.uniform(-0.001, 0.004), g.uniform(1.0, 3.0)
     for name in ("left", "right"):
         eye = drawn.camera.project(vertices[head.regions[f"{name}_eyeball"]].mean(0)[None])[1][0]
-        x, y = (columns - eye[0]) / (wide * unit_), (rows - eye[1] + lift * unit_) / (high * unit_)
+        x, y = (columns - eye[0]) / (wide * metre), (rows - eye[1] + lift * metre) / (high * metre)
         factor *= 1 - (depth * np.exp(-((x * x + y * y) ** power)))[..., None] * np.clip(tone, 0.5, 1.0)
     if g.random() < 0.5:
         lips = drawn.labels == LABELS.index("lips")

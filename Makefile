@@ -25,7 +25,7 @@ help:
 demo: $(VENV)/.ready
 	$(PY) -m tools.demo --out out $(if $(PERFORMANCE),--performance "$(PERFORMANCE)")
 
-#: make test                      lint and run the quick tests (some 13 minutes on two quiet cores, with the set-up)
+#: make test                      lint and run the quick tests (13 minutes on two quiet cores of an AMD EPYC, 18 and more of an Intel Xeon)
 test: $(VENV)/.ready .venv45/.ready .venv52/.ready lint
 	$(PYTEST) -m "not slow" $(PYTEST_ARGS)
 

@@ -72,7 +72,8 @@ def face_hair(
     for (name, cover), group in zip(covers.items(), (BROWS, BEARD), strict=False):
         groom = library_groom(SHORT_BEARD if name == "beard" and not long else FULLEST[name], head.name, name)
         groom = _at_height(groom, track, view, head) if name == "brows" else groom
-        kept, hidden = _kept(groom, cover, depth, view, head, worn_glasses(track, parts).covered)
+        shaded = _beside_hair(track, parts, view) > LIKELY if name == "brows" else np.zeros(depth.shape, bool)
+        kept, hidden = _kept(groom, cover, depth, view, head, worn_glasses(track, parts).covered, shaded)
         if name == "brows" and hidden > MOSTLY:
             groom = _at_height(library_groom("natural", head.name, "brows"), track, view, head)
         elif kept.mean() > FEWEST:
@@ -102,9 +103,15 @@ def brow_cover(track: PhotoTrack, parts: PhotoParts, view: HairView, head: HeadM
         cover
         * (1.0 - parts.eyes)
         * view.counts
-        * (1.0 - _near(parts.hair, SHADE * height))
+        * (1.0 - _beside_hair(track, parts, view))
         * ~worn_glasses(track, parts).covered
     )
+
+
+def _beside_hair(track: PhotoTrack, parts: PhotoParts, view: HairView) -> np.ndarray:
+    """Pixels [H, W] 0..1 that hair covers or shades, so that it is not told whether dark skin is brow."""
+    height = float(np.ptp(track.camera.project(view.vertices)[1][:, 1]))
+    return _near(parts.hair, SHADE * height)
 
 
 def _at_landmarks(track: PhotoTrack, reach: float) -> np.ndarray:
@@ -147,30 +154,31 @@ def _near(plane: np.ndarray, reach: float) -> np.ndarray:
 
 
 def _kept(
-    groom: Groom, cover: np.ndarray, depth: np.ndarray, view: HairView, head: HeadModel, glasses: np.ndarray
-) -> tuple[np.ndarray, float]:  # fmt: skip
-    """Which strands of a groom stand where a photo shows their part, [N] bool, and the share that frames of glasses hide.
+    groom: Groom, cover: np.ndarray, depth: np.ndarray, view: HairView, head: HeadModel, glasses: np.ndarray, shaded: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Which strands of a groom stand where a photo shows their part, [N] bool, and the share of which pixels tell nothing.
 
-    Those that the head, a hat or a thing hides are as those on the other side; those under frames (pixels, [H, W] bool) as what
-    is seen next to them.
+    Those that the head, a hat, a thing or hair hides are as those on the other side; those under frames as what is seen next
+    to them. `glasses`, `shaded`: pixels of frames, and those at hair, [H, W] bool.
     """
     frames = groom.frames(np.asarray(head.v_template, np.float64), head.faces)
     posed = groom.posed(frames, view.vertices)
     local, pixels = view.camera.project(posed)
     column, row = (np.clip(pixels[:, k].astype(int), 0, size - 1) for k, size in ((0, cover.shape[1]), (1, cover.shape[0])))
-    strand, free = groom.strand_of_point, ~glasses[row, column]
+    strand, free = groom.strand_of_point, ~(glasses | shaded)[row, column]
     told = np.bincount(strand, free, len(groom))
     mean = np.bincount(strand, cover[row, column] * free, len(groom)) / np.maximum(told, 1.0)
     seen = np.bincount(strand, (local[:, 2] < depth[row, column] + BEHIND) * view.counts[row, column] * free, len(groom))
+    framed = np.bincount(strand, glasses[row, column], len(groom)) / groom.counts >= 0.5
     chance = (np.arange(len(groom)) * 0.6180339887498949) % 1.0
-    shown, under = seen / groom.counts > 0.5, told / groom.counts <= 0.5
+    shown, untold = seen / groom.counts > 0.5, float((told / groom.counts <= 0.5).mean())
     kept: np.ndarray = shown & (mean > KEPT[0] + (KEPT[1] - KEPT[0]) * chance)
     if shown.all() or not shown.any():
-        return kept, float(under.mean())
+        return kept, untold
     roots = torch.from_numpy(frames.at(np.asarray(head.v_template, np.float64))[0])
     apart, nearest = torch.cdist(roots[~shown] * roots.new_tensor([-1.0, 1.0, 1.0]), roots[shown]).min(1)
     kept[~shown] = kept[shown][nearest.numpy()] & (apart.numpy() < SIDES)
-    if under.any():
-        near, nearest = torch.cdist(roots[under], roots[shown]).min(1)
-        kept[under] = np.where(near.numpy() < FRAMES, kept[shown][nearest.numpy()], kept[under])
-    return kept, float(under.mean())
+    if framed.any():
+        near, nearest = torch.cdist(roots[framed], roots[shown]).min(1)
+        kept[framed] = np.where(near.numpy() < FRAMES, kept[shown][nearest.numpy()], kept[framed])
+    return kept, untold

@@ -32,7 +32,9 @@ if TYPE_CHECKING:
     from ..head import HeadModel
 
 LOW, HIGH = np.array([-0.2, -0.25, -0.2]), np.array([0.2, 0.25, 0.2])  # metres of the mean head: corners of the lattice
-FOLLOWS = 0.05  # metres along a strand from which on it follows the field wholly
+# metres along short and long strands from which on they follow the field wholly, and how long these are: short hair lies on the
+# head, long hair falls from its parting at once and leaves no ditch there
+FOLLOWS, REACHES = (0.05, 0.02), (0.08, 0.16)
 LEVELS = ((1, 1.0), (5, 2.0), (15, 2.0))  # px over which cover is averaged, and what that counts
 SMALL = 0.004  # weight of a field's length beside its curvature, in centimetres
 TURNED = 1.0  # of strands that lie across the photo's, beside wrong cover
@@ -203,8 +205,8 @@ def with_hairline(groom: Groom, photos: Sequence[Seen], head: HeadModel) -> Groo
 
 def _share(strands: np.ndarray) -> np.ndarray:
     """How much of the field each point [N, K, 3] follows, [N, K]."""
-    steps = np.linalg.norm(np.diff(strands, axis=1, prepend=strands[:, :1]), axis=2)
-    share: np.ndarray = np.minimum(np.cumsum(steps, 1) / FOLLOWS, 1.0).astype(np.float32)
+    along = np.cumsum(np.linalg.norm(np.diff(strands, axis=1, prepend=strands[:, :1]), axis=2), 1)
+    share: np.ndarray = np.minimum(along / np.interp(along[:, -1:], REACHES, FOLLOWS), 1.0).astype(np.float32)
     return share
 
 

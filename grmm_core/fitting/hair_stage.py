@@ -24,12 +24,12 @@ from ..hair.packaged import groom_names, library_groom
 from ..hair.ribbons import Eye, segments
 from ..hair.roots import SCALP
 from ..hair.settings import HairSettings
-from ..hair.strands import lengthened
+from ..hair.strands import blocks_of, lengthened
 from ..photo.parser import MESH_PARTS, part_map
 from ..splat.api import rasterize_arrays
 from ..splat.types import GaussianArrays
 from .face_hair import face_hair
-from .hair_grain import Directions, coiliness, coils, directions, waves
+from .hair_grain import Directions, coiliness, coils, directions, waves, waviness
 from .hair_shape import FINE, Course, bent, field_to, offsets, with_hairline
 from .strays import without_strays
 
@@ -53,12 +53,16 @@ BALD, BALD_HATTED = 0.012, 0.003  # of the head's pixels: less hair is none
 HATTED = 0.5  # of the scalp's pixels: if more are hidden, the person wears a hat
 UNDER_HATS = ("bob", "crop", "pixie")
 LONG_UNDER_HATS, LONG = ("bob", "layered", "long", "ringlets", "wavy_long"), 0.25  # where so many of the head's pixels are hair
+HARDLY_SHOWN, LIGHTER = 0.03, 0.2  # of the person's pixels: less hair has the brows' color, or is lighter by so much melanin
 # how much less red than skin hair must be, as a share of all channels, and of how much of it that cannot be asked
 SKIN_TINT, MOSTLY = 0.02, 0.9
 VARIATION = (0.3, 1.0)  # of the color from lock to lock, by how much the photo has
 OPACITY = 0.9  # of a strand
 ORIENTATION = 0.35  # weight of the agreement of directions beside that of cover
-WAVY, MOST_WAVES = 0.025, 2.0  # of the score that a radian of waves costs, up to so many: silhouettes hardly tell them
+# of the score that strands lose which are e times as wavy as in the photos, or as little; radians of straight ones, those that
+# noise makes in photos, and how many times more strands turn than is seen of them
+WAVY, LEAST_WAVES, NOISE, SEEN = 0.06, 0.4, 0.14, 3.6
+CURLS, CURLED = (0.0, 0.15, 0.3, 0.45, 0.6), 0.7  # settings to try, and which share of the waves is enough
 COILY = 0.3  # of the score that strands lose which are straight where the photos show coils
 HARDLY = 0.05  # cover by hair of what is plain skin
 BEHIND = 0.004  # metres below the skin that are still seen
@@ -105,7 +109,15 @@ def person_hair(
     scalp = fit_hair(views, head, progress)
     settings = HairSettings() if scalp is None else scalp.settings
     grooms, own = face_hair(tracks[0], parts[0], views[0], head, settings)
+    if (views[0].hair * views[0].counts).sum() < HARDLY_SHOWN * (1.0 - parts[0].background).sum():
+        settings = _like_brows(settings, own["brows"])
     return Hair(join(grooms if scalp is None or scalp.groom is None else [scalp.groom, *grooms]), settings, own)
+
+
+def _like_brows(scalp: HairSettings, brows: HairSettings) -> HairSettings:
+    """Settings of hair that hardly shows: if lighter than brows, then a little, and no greyer, whatever skin shines through."""
+    melanin = max(scalp.melanin, brows.melanin - LIGHTER)
+    return scalp.changed(melanin=melanin, grey=min(scalp.grey, brows.grey)) if melanin > scalp.melanin else scalp
 
 
 class Match(NamedTuple):
@@ -118,6 +130,7 @@ class Match(NamedTuple):
         score: Agreement, at most 1.
         field: That bends it to the photos, see `hair_shape`; None leaves it.
         agreement: Of cover and directions alone, in the score.
+        waves: Of the groom, as of `hair_grain.waves`.
     """
 
     name: str
@@ -126,6 +139,7 @@ class Match(NamedTuple):
     score: float
     field: torch.Tensor | None = None
     agreement: float = 0.0
+    waves: float = 0.0
 
 
 def fit_hair(views: Sequence[HairView], head: HeadModel, progress: Callable[[float], None] = lambda share: None) -> Hair | None:
@@ -142,7 +156,7 @@ def fit_hair(views: Sequence[HairView], head: HeadModel, progress: Callable[[flo
     stages = [_Stage(around_head(view), head, FINE_SIDE) for view in views]
     groom, length, _ = max((_finished(match, stages, head) for match in matches[:FINISHED]), key=lambda made: made[2])
     groom = with_hairline(groom, stages, head)
-    settings = with_colors(HairSettings(length=length), groom, views, head)
+    settings = with_colors(HairSettings(length=length, curl=_curl(groom, stages, head)), groom, views, head)
     return Hair(groom, _varied(settings, groom, around_head(views[0]), head))
 
 
@@ -157,8 +171,7 @@ def _finished(match: Match, stages: Sequence[_Stage], head: HeadModel) -> tuple[
     groom = without_strays(groom, before, head)
     thin = _Strands(groom, head, FINE_STRANDS)
     score = match.score - match.agreement + _agreement(stages, thin.course(stages, 1.0))
-    few = _few(groom)
-    return groom, 1.0, score - WAVY * min(waves(few), MOST_WAVES) * (1.0 - coils(few))
+    return groom, 1.0, score + _waves_apart(match.waves, stages) - _waves_apart(waves(_even(_few(groom))), stages)
 
 
 def _varied(settings: HairSettings, groom: Groom, view: HairView, head: HeadModel) -> HairSettings:
@@ -251,13 +264,18 @@ class _Candidate(_Strands):
         groom = library_groom(name, head.name)
         super().__init__(groom, head, STRANDS, flipped)
         self.name, self.flipped = name, flipped
-        self.coils = coils(_few(groom))
+        self.coils, self.waves = coils(few := _even(_few(groom))), waves(few)
 
 
 def _few(groom: Groom) -> Groom:
     """Enough strands and points of a groom's scalp to see coils and waves."""
     rows = np.flatnonzero(groom.groups == SCALP)
     return groom.select(rows[:: max(1, len(rows) // STRANDS)]).resampled(GRAIN_POINTS)
+
+
+def _even(groom: Groom) -> np.ndarray:
+    """Strands [N, K, 3] of a groom whose strands have one number of points, each in the axes of its root."""
+    return groom.points.reshape(len(groom), -1, 3)
 
 
 class _Stage:
@@ -279,6 +297,7 @@ class _Stage:
         scalp = part_map(head, view.vertices, self.camera)[0] == tuple(MESH_PARTS).index("scalp")
         bald = _enlarged(self.depth < EMPTY, view.hair.shape)
         self.coily = coiliness(view.image, view.hair * view.counts, bald & (view.hair < HARDLY) & (view.counts > 0.5))
+        self.wavy = waviness(view.image, view.hair * view.counts, Eye.of(view.camera).pixels_per_metre())
         self.hidden = float((1.0 - self.counts)[scalp].mean()) if scalp.any() else 0.0
 
     def drawn(self, points: np.ndarray, radii: np.ndarray) -> tuple[np.ndarray, Directions]:
@@ -315,8 +334,29 @@ def _judged(stages: Sequence[_Stage], candidate: _Candidate, length: float, fiel
     coily = [stage.coily for stage in stages if stage.coily is not None]
     straight = COILY * (1.0 - candidate.coils) * float(np.mean(coily)) if coily else 0.0
     reach = float(np.linalg.norm(course.rest[:, -1] - course.rest[:, 0], axis=1).mean())
-    score = agreement - SHY * reach - straight
-    return Match(candidate.name, candidate.flipped, length, score, field, agreement)
+    score = agreement - SHY * reach - straight - _waves_apart(candidate.waves, stages)
+    return Match(candidate.name, candidate.flipped, length, score, field, agreement, candidate.waves)
+
+
+def _waves_apart(strands: float, stages: Sequence[_Stage]) -> float:
+    """What strands with so many waves lose of their score; nothing where the photos tell nothing."""
+    wanted = _waves_of(stages)
+    return 0.0 if wanted is None else WAVY * abs(float(np.log(max(strands, LEAST_WAVES) / wanted)))
+
+
+def _waves_of(stages: Sequence[_Stage]) -> float | None:
+    """Waves of strands, as of `hair_grain.waves`, that look like those of the photos; None where these tell nothing."""
+    seen = [stage.wavy for stage in stages if stage.wavy is not None]
+    return max(SEEN * (float(np.mean(seen)) - NOISE), LEAST_WAVES) if seen else None
+
+
+def _curl(groom: Groom, stages: Sequence[_Stage], head: HeadModel) -> float:
+    """The least curl of the settings with which a groom is about as wavy as in the photos; 0 where these tell nothing."""
+    wanted = _waves_of(stages)
+    if wanted is None:
+        return 0.0
+    (block,) = blocks_of(_few(groom), np.asarray(head.v_template), head.faces)[:1]
+    return next((curl for curl in CURLS if waves(block.styled(HairSettings(curl=curl))) > CURLED * wanted), CURLS[-1])
 
 
 def _agreement(stages: Sequence[_Stage], course: Course, field: torch.Tensor | None = None) -> float:

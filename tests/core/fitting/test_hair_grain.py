@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from grmm_core.fitting.hair_grain import coiliness, coils, waves
+from grmm_core.fitting.hair_grain import coiliness, coils, waves, waviness
 from grmm_core.geometry.camera import Camera
 from grmm_core.hair import HairSettings, library_groom
 from grmm_core.hair.coloring import WornHair
@@ -40,11 +40,27 @@ def test_noise_and_small_faces_tell_nothing():
     assert coiliness(noisy, cover, skin) is None, "the grain of the picture, which the skin has as well"
 
 
+def test_waves_of_drawn_hair():
+    metre = 448 / 0.45
+
+    def of(name, share=1):
+        image, cover, _ = drawn(name)
+        return waviness(image[::share, ::share], cover[::share, ::share], metre / share)
+
+    straight, wavy, ringlets = (of(name) for name in ("long", "wavy_long", "ringlets"))
+    assert straight < 0.3 < wavy < ringlets
+    assert of("long", 8) is None, "too few pixels"
+
+
+def even(groom):
+    return groom.resampled(24).points.reshape(len(groom), 24, 3)
+
+
 def test_coils_of_strands():
     def of(name):
         groom = library_groom(name)
         rows = np.flatnonzero(groom.groups == SCALP)[::20]
-        return coils(groom.select(rows).resampled(24))
+        return coils(even(groom.select(rows)))
 
     assert of("coily") == of("afro") == 1.0
     assert 0.7 < of("fade") <= 1.0
@@ -56,8 +72,8 @@ def test_waves_are_what_turns_to_and_fro():
     def of(name):
         groom = library_groom(name)
         rows = np.flatnonzero(groom.groups == SCALP)[::20]
-        return waves(groom.select(rows).resampled(24))
+        return waves(even(groom.select(rows)))
 
     assert of("stubble") < 0.05
-    assert of("slick_back") < of("long") < 1.2, "a bend from root to tip is no wave"
-    assert of("wavy_long") > 4.0
+    assert of("slick_back") < of("long") < 0.5, "a bend from root to tip is no wave"
+    assert 1.8 < of("wavy_long") < of("ringlets")

@@ -12,10 +12,10 @@ from photo_parts import parts_of
 
 from grmm_core.fitting import hair_shape, hair_stage
 from grmm_core.fitting import hair_texture as texture
-from grmm_core.fitting.face_hair import BRIDGE, OUTLINES, brow_cover
+from grmm_core.fitting.face_hair import BRIDGE, OUTLINES, brow_cover, face_hair
 from grmm_core.fitting.hair_grain import directions
 from grmm_core.fitting.hair_shape import FINE, bent, field_to, offsets
-from grmm_core.fitting.hair_stage import best_grooms, fit_hair, hair_view, person_hair
+from grmm_core.fitting.hair_stage import LIGHTER, _curl, best_grooms, fit_hair, hair_view, person_hair
 from grmm_core.fitting.photo_targets import project
 from grmm_core.fitting.types import LANDMARK_COUNT, PhotoTrack
 from grmm_core.geometry.camera import Camera
@@ -25,6 +25,7 @@ from grmm_core.hair.coloring import HairView, WornHair, with_colors
 from grmm_core.hair.mirror import mirrored
 from grmm_core.hair.roots import BEARD, BROWS, LASHES
 from grmm_core.head import load_open_head
+from grmm_core.photo.parser import MESH_PARTS, part_map
 from grmm_core.splat import Gaussians, rasterize
 
 AXES = torch.tensor([1.0, 0.0, 0.0])[:, None, None, None]
@@ -207,6 +208,21 @@ def test_a_field_moves_tips_and_leaves_roots():
     assert abs(float(np.median(back[last, 2] - flat[last, 2])) + 0.02) < 0.003
 
 
+def test_long_hair_leaves_its_parting_sooner_than_short_hair_leaves_the_head():
+    field = torch.zeros(3, *FINE[-1].nodes[::-1])
+    field[1] = 0.02
+    along = np.linspace(0.0, 1.0, 11)[None, :, None] * np.array([1.0, 0.0, 0.0])
+    short, long = (offsets(field, length * along)[0, :, 1] for length in (0.05, 0.2))
+    np.testing.assert_allclose(short, 0.02 * np.linspace(0, 1, 11), atol=1e-6)
+    np.testing.assert_allclose(long, 0.02 * np.minimum(np.linspace(0, 1, 11) * 10, 1.0), atol=1e-6)
+
+
+@pytest.mark.parametrize(("wavy", "least", "most"), [(None, 0.0, 0.0), (0.1, 0.0, 0.0), (0.5, 0.15, 0.6), (2.0, 0.6, 0.6)])
+def test_straight_hair_is_curled_as_far_as_the_photo_shows(wavy, least, most):
+    groom = library_groom("bob")
+    assert least <= _curl(groom, [SimpleNamespace(wavy=wavy)], load_open_head()) <= most
+
+
 def test_hair_swells_to_the_outline_that_a_photo_shows():
     head = load_open_head()
     nodes = FINE[-1].nodes
@@ -289,6 +305,18 @@ def test_shaded_skin_beside_a_hat_does_not_tell_the_hairs_color():
     assert (red.counts[ear > 0] == 1.0).all(), "hair may be as red as skin"
 
 
+def test_hair_that_hardly_shows_is_about_as_dark_as_the_brows():
+    """Below a hat a little skin is taken for hair."""
+    track, parts, head = face([(BROWS, library_groom("bushy", part="brows"))])
+    scalp = part_map(head, hair_view(track, parts, head).vertices, track.camera)[0] == tuple(MESH_PARTS).index("scalp")
+    hat = np.float32(scalp)
+    strip = np.float32(scalp & (np.cumsum(scalp[::-1], 0)[::-1] < 4))
+    hidden = parts_of(1.0 - np.maximum(track.mask, hat), hat=hat - strip, hair=strip)
+    found = person_hair([track], [hidden], head)
+    assert found.parts["brows"].melanin > 0.6
+    assert found.settings.melanin == pytest.approx(found.parts["brows"].melanin - LIGHTER)
+
+
 def test_the_shade_beside_hair_is_no_brow():
     track, parts, head = face([(BROWS, library_groom("bushy", part="brows"))])
     view = hair_view(track, parts, head)
@@ -300,6 +328,23 @@ def test_the_shade_beside_hair_is_no_brow():
     assert cover.sum() > 100
     assert not under[: rows.min() + 2].any()
     assert under[rows.max()].sum() == pytest.approx(cover[rows.max()].sum())
+
+
+def test_a_brow_in_the_shade_of_hair_is_as_the_other_one():
+    track, parts, head = face([(BROWS, library_groom("bushy", part="brows"))])
+    cover = brow_cover(track, parts, hair_view(track, parts, head), head)
+    rows, columns = np.nonzero(cover > 0.5)
+    lock = np.zeros_like(cover)
+    lock[rows.min() - 4 : rows.max() + 5, : round(float(columns.mean()))] = 1.0  # of hair, over the brow on the left
+
+    def sides(hair):
+        shown = replace(parts, hair=hair)
+        grooms, _ = face_hair(track, shown, hair_view(track, shown, head), head, HairSettings())
+        (brows,) = (groom for groom in grooms if (groom.groups == BROWS).all())
+        roots = brows.frames(np.asarray(head.v_template, np.float64), head.faces).at(np.asarray(head.v_template, np.float64))[0]
+        return np.array([(roots[:, 0] < 0).sum(), (roots[:, 0] > 0).sum()])
+
+    np.testing.assert_allclose(sides(lock), sides(np.zeros_like(cover)), rtol=0.15)
 
 
 @pytest.mark.parametrize("name", ["thin", "bushy"])

@@ -23,7 +23,7 @@ from ..light.relight import to_display, to_linear
 from ..photo.parser import PhotoParts
 from ..session import Instance, RenderOptions, Session
 from .blurring import blurred
-from .hair_stage import hair_view
+from .hair_stage import hair_view, hardly_shown
 from .photo_light import MATT
 from .result import photo_controls, photo_light
 from .types import PhotoTrack
@@ -63,8 +63,8 @@ def unlit_hair(
         ]
         session.release(number)
     scalp = hair.groom.groups == SCALP
-    if scalp.any():
-        views = [hair_view(track, seen, head) for track, seen in zip(unlit, parts, strict=True)]
+    views = [hair_view(track, seen, head) for track, seen in zip(unlit, parts, strict=True)]
+    if scalp.any() and not hardly_shown(views[0], parts[0]):
         settings = with_colors(hair.settings, hair.groom.select(scalp), views, head)
         avatar = dataclasses.replace(avatar, hair=dataclasses.replace(hair, settings=settings))
     return avatar, unlit

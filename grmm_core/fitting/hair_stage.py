@@ -44,9 +44,9 @@ POINTS = 10  # of each
 GRAIN_POINTS = 24  # of a strand whose coils are counted
 LENGTHS = (0.45, 0.6, 0.8, 1.0, 1.25)
 FINER = (0.9, 1.0, 1.1)  # factors of the second round
-BENT, UNBENT = 6, 0.5  # grooms that are bent to the photos, and weight of the score that they had before
+BENT, UNBENT = 4, 0.5  # grooms that are bent to the photos, and weight of the score that they had before
 LIKELY_BENT = 0.8  # of the best such score: with less, long hair cut short would be bent to any short hair
-FINISHED = 2  # of these that are bent to the last millimetre before one is chosen
+FINISHED = 3  # of these that are bent to the last millimetre before one is chosen
 SHY = 0.4  # of the score for each metre from roots to tips: what a photo cannot show, as before the forehead, is short
 INSIDE = 1.5  # weight of pixels on the bald head more than beside it: a fringe is small, and seen first
 BALD, BALD_HATTED = 0.012, 0.003  # of the head's pixels: less hair is none
@@ -59,9 +59,9 @@ SKIN_TINT, MOSTLY = 0.02, 0.9
 VARIATION = (0.3, 1.0)  # of the color from lock to lock, by how much the photo has
 OPACITY = 0.9  # of a strand
 ORIENTATION = 0.35  # weight of the agreement of directions beside that of cover
-# of the score that strands lose which are e times as wavy as in the photos, or as little; radians of straight ones, those that
-# noise makes in photos, and how many times more strands turn than is seen of them
-WAVY, LEAST_WAVES, NOISE, SEEN = 0.06, 0.4, 0.14, 3.6
+# of the score that strands lose which are e times as wavy as in the photos, or as little, and up to how often e: straight ones
+# can be curled; radians of straight ones, those that noise makes in photos, and how many times more strands turn than is seen
+WAVY, MOST_WAVY, LEAST_WAVES, NOISE, SEEN = 0.06, 0.7, 0.6, 0.14, 3.6
 CURLS, CURLED = (0.0, 0.15, 0.3, 0.45, 0.6), 0.7  # settings to try, and which share of the waves is enough
 COILY = 0.3  # of the score that strands lose which are straight where the photos show coils
 HARDLY = 0.05  # cover by hair of what is plain skin
@@ -109,9 +109,14 @@ def person_hair(
     scalp = fit_hair(views, head, progress)
     settings = HairSettings() if scalp is None else scalp.settings
     grooms, own = face_hair(tracks[0], parts[0], views[0], head, settings)
-    if (views[0].hair * views[0].counts).sum() < HARDLY_SHOWN * (1.0 - parts[0].background).sum():
+    if hardly_shown(views[0], parts[0]):
         settings = _like_brows(settings, own["brows"])
     return Hair(join(grooms if scalp is None or scalp.groom is None else [scalp.groom, *grooms]), settings, own)
+
+
+def hardly_shown(view: HairView, parts: PhotoParts) -> bool:
+    """Whether a photo shows so little hair that its color is not told, as below a hat."""
+    return bool((view.hair * view.counts).sum() < HARDLY_SHOWN * (1.0 - parts.background).sum())
 
 
 def _like_brows(scalp: HairSettings, brows: HairSettings) -> HairSettings:
@@ -341,7 +346,7 @@ def _judged(stages: Sequence[_Stage], candidate: _Candidate, length: float, fiel
 def _waves_apart(strands: float, stages: Sequence[_Stage]) -> float:
     """What strands with so many waves lose of their score; nothing where the photos tell nothing."""
     wanted = _waves_of(stages)
-    return 0.0 if wanted is None else WAVY * abs(float(np.log(max(strands, LEAST_WAVES) / wanted)))
+    return 0.0 if wanted is None else WAVY * min(abs(float(np.log(max(strands, LEAST_WAVES) / wanted))), MOST_WAVY)
 
 
 def _waves_of(stages: Sequence[_Stage]) -> float | None:

@@ -34,7 +34,7 @@ from ..splat.api import rasterize
 from ..splat.types import Gaussians
 from .blurring import blurred
 from .face_hair import brow_cover
-from .hair_stage import hair_view
+from .hair_stage import hair_view, hardly_shown
 from .inpainting import within
 from .invert import photo_model_inputs
 from .types import PhotoTrack
@@ -98,7 +98,7 @@ class Photo(NamedTuple):
 def textured(
     model: GRMM, avatar: Avatar, tracks: Sequence[PhotoTrack], parts: Sequence[PhotoParts]
 ) -> Avatar:  # fmt: skip
-    """Return an avatar whose scalp hair and brows have the colors of its photos where they show them.
+    """Return an avatar whose brows, and scalp hair if they show it, have the colors of its photos where they show them.
 
     Args:
         model: With the avatar's own changes.
@@ -109,7 +109,11 @@ def textured(
     hair = avatar.hair
     if hair is None or hair.groom is None or not (hair.groom.groups == SCALP).any():
         return avatar
-    own = np.isin(hair.groom.groups, (SCALP, BROWS))
+    views = [hair_view(track, seen, model.head_model) for track, seen in zip(tracks, parts, strict=True)]
+    hidden = all(map(hardly_shown, views, parts))
+    own = np.isin(hair.groom.groups, BROWS if hidden else (SCALP, BROWS))
+    if not own.any():
+        return avatar
     groom = dataclasses.replace(hair.groom.select(own), tints=None)
     onto = [Onto(photo, len(groom)) for photo in _photos(model, avatar, hair, groom, tracks, parts, RIM)]
     places = places_of(groom, model.head_model)

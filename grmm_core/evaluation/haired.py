@@ -19,7 +19,7 @@ from ..avatar import EXTENSION, Avatar, save_avatar
 from ..controls.frame import Controls, resolve
 from ..data.dataset import CaptureDataset
 from ..data.types import Shot
-from ..fitting.hair_stage import directions
+from ..fitting.hair_grain import directions
 from ..geometry.camera import Camera
 from ..model.people import made_avatar
 from ..session import FINAL_STRANDS, HairUse, create_session

@@ -22,7 +22,7 @@ from ..avatar import Avatar
 from ..controls.frame import Controls
 from ..errors import GrmmError
 from ..fitting.api import fit
-from ..fitting.hair_stage import hair_view
+from ..fitting.hair_view import hair_view
 from ..fitting.invert import invert, photo_pictures
 from ..fitting.photo_light import MATT
 from ..fitting.presets import Preset

@@ -23,7 +23,7 @@ from ..light.relight import to_display, to_linear
 from ..photo.parser import PhotoParts
 from ..session import Instance, RenderOptions, Session
 from .blurring import blurred
-from .hair_stage import hair_view, hardly_shown
+from .hair_view import hair_view, hardly_shown
 from .photo_light import MATT
 from .result import photo_controls, photo_light
 from .types import PhotoTrack

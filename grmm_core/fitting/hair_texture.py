@@ -34,7 +34,7 @@ from ..splat.api import rasterize
 from ..splat.types import Gaussians
 from .blurring import blurred
 from .face_hair import brow_cover
-from .hair_stage import hair_view, hardly_shown
+from .hair_view import hair_view, hardly_shown
 from .inpainting import within
 from .invert import photo_model_inputs
 from .types import PhotoTrack

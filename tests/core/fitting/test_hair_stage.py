@@ -10,12 +10,14 @@ import pytest
 import torch
 from photo_parts import parts_of
 
-from grmm_core.fitting import hair_shape, hair_stage
+from grmm_core.fitting import hair_match, hair_shape
 from grmm_core.fitting import hair_texture as texture
 from grmm_core.fitting.face_hair import BRIDGE, OUTLINES, brow_cover, face_hair
 from grmm_core.fitting.hair_grain import directions
+from grmm_core.fitting.hair_match import best_grooms
 from grmm_core.fitting.hair_shape import FINE, bent, field_to, offsets
-from grmm_core.fitting.hair_stage import LIGHTER, _curl, best_grooms, fit_hair, hair_view, person_hair
+from grmm_core.fitting.hair_stage import LIGHTER, _curl, fit_hair, person_hair
+from grmm_core.fitting.hair_view import hair_view
 from grmm_core.fitting.photo_targets import project
 from grmm_core.fitting.types import LANDMARK_COUNT, PhotoTrack
 from grmm_core.geometry.camera import Camera
@@ -68,14 +70,14 @@ def test_cover_is_averaged_over_squares(size):
 
 def test_long_hair_is_not_bent_to_short_hair(monkeypatch):
     """It covers any silhouette once it is cut short and bent; what was not likely before that stays out."""
-    monkeypatch.setattr(hair_stage, "groom_names", lambda: ("long", "crop", "ponytail"))
+    monkeypatch.setattr(hair_match, "groom_names", lambda: ("long", "crop", "ponytail"))
     matches = best_grooms([photo(library_groom("crop"), HairSettings(melanin=0.7), 10.0)], load_open_head())
     assert [match.name for match in matches] == ["crop"]
 
 
 def test_long_hair_below_a_hat_is_long(monkeypatch):
     head, shown = load_open_head(), photo(library_groom("long"), HairSettings(melanin=0.6), 10.0)
-    monkeypatch.setattr(hair_stage, "LONG_UNDER_HATS", ("bob", "long"))
+    monkeypatch.setattr(hair_match, "LONG_UNDER_HATS", ("bob", "long"))
     brim = int(shown.camera.project(np.array([[0.0, 0.07, 0.09]]))[1][0, 1])
     hair, counts = shown.hair.copy(), shown.counts.copy()
     hair[:brim] = counts[:brim] = 0.0
@@ -84,7 +86,7 @@ def test_long_hair_below_a_hat_is_long(monkeypatch):
     assert match.field is not None, "what shows of it is bent to"
     hair[int(0.45 * len(hair)) :] = 0.0
     match, *_ = best_grooms([replace(shown, hair=hair, counts=counts)], head)
-    assert match.name in hair_stage.UNDER_HATS
+    assert match.name in hair_match.UNDER_HATS
     assert match.field is None
 
 
@@ -238,9 +240,9 @@ def test_a_fringe_is_swept_to_the_side_as_in_the_photo(monkeypatch):
     """The same silhouette is not the same hair: by cover alone, strands lie across those of the photo."""
     head, groom = load_open_head(), library_groom("fringe")
     sideways = 0.04 * AXES.expand(3, *FINE[-1].nodes[::-1])
-    stage = hair_stage._Stage(photo(groom, HairSettings(), 0.0), head)
+    stage = hair_match.Stage(photo(groom, HairSettings(), 0.0), head)
     plain, true = (
-        hair_stage._Strands(one, head, hair_stage.STRANDS).course([stage], 1.0)
+        hair_match.Strands(one, head, hair_match.STRANDS).course([stage], 1.0)
         for one in (groom, bent(groom, 1.0, sideways, head))
     )
     stage.hair, stage.seen = stage.drawn(true.posed[0], true.radii)

@@ -200,9 +200,19 @@ def _fill_surface(
         own = (known * (1.0 - below)).square()  # variances of own detail and of what is carried add up
         strength = (1.0 - own).sqrt() * (GRAIN[0] + (GRAIN[1] - GRAIN[0]) * below)
         outer = outer + strength[:, None] * grain(surface, change, plain_skin)
+    outer = _with_both_brows(surface, change, known, outer)
     parts = surface.lips | (surface.group == INNER)
     alone = surface.fill(change, known * parts, rest=PART_REST)
     return prior - start + plain_mouth(surface, prior, change, known, outer, alone)
+
+
+def _with_both_brows(surface: Surface, change: Tensor, known: Tensor, outer: Tensor) -> Tensor:
+    """Changes of color [N, 3] with what is hidden of a brow, as by hair, like the other one: skin below has its color, too."""
+    told = known * surface.brows
+    values = torch.cat([change, torch.ones_like(change[:, :1])], 1)
+    brow, shown = surface.fill(values, told, rest=PART_REST).split((3, 1), 1)
+    share = (surface.brows * (1.0 - known))[:, None] * (shown / HALF_KNOWN).clamp(0, 1)
+    return torch.lerp(outer, brow / shown.clamp(min=HALF_KNOWN), share)
 
 
 def _plain_neck(surface: Surface, prior: Tensor, change: Tensor, beyond: Tensor, known: Tensor) -> Tensor:

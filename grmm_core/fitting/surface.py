@@ -28,7 +28,7 @@ GROUPS = 3
 INNER_REGIONS = (
     "left_eyeball", "right_eyeball", "upper_teeth", "lower_teeth", "tongue", "mouth_interior", "lashes",
 )  # fmt: skip
-LIPS, TEETH, INSIDE = ("lips",), ("upper_teeth", "lower_teeth"), ("tongue", "mouth_interior")
+LIPS, TEETH, INSIDE, BROWS = ("lips",), ("upper_teeth", "lower_teeth"), ("tongue", "mouth_interior"), ("brows",)
 SEAM_REACH = 0.004  # metres on the mean head between texels at the borders of the UV map's islands
 BESIDE = (0.045, 0.06)  # metres from the plane of symmetry: eyes and mouth are before the first, brows before the second
 BESIDE_CHIN = (0.025, 0.04)  # likewise below the lips, where the face is narrower
@@ -57,6 +57,7 @@ class Surface:
         teeth: Whether it is of the teeth, [N].
         inside: Whether it is of the tongue or the mouth around it, [N].
         lip_rim: How near skin is to the lips, 0..1, [N]; 0 on the lips.
+        brows: Whether it is of the brows, [N].
     """
 
     group: Tensor
@@ -69,6 +70,7 @@ class Surface:
     teeth: Tensor
     inside: Tensor
     lip_rim: Tensor
+    brows: Tensor
 
     @property
     def skin(self) -> Tensor:
@@ -141,15 +143,15 @@ def _found(model: GRMM) -> Surface:
         matrices.append(FixedSparse((rows, columns, values), (count, count)).to(model.device))
         degrees.append(np.bincount(rows, values, count))
     below = (barycentric * below_chin(head)[faces]).sum(1)
-    lips, teeth, inside = (head.marked(*part)[faces].all(1) for part in (LIPS, TEETH, INSIDE))
+    lips, teeth, inside, brows = (head.marked(*part)[faces].all(1) for part in (LIPS, TEETH, INSIDE, BROWS))
     near_lips = _near_lips(positions, lips) * (group == SKIN)
     beside = np.maximum(_beside(head, positions), below)
     shares = torch.tensor(np.stack([beside, below, near_lips]), dtype=model.dtype, device=model.device)
-    own = torch.tensor(np.stack([lips, teeth, inside]), device=model.device)
+    own = torch.tensor(np.stack([lips, teeth, inside, brows]), device=model.device)
     return Surface(
         torch.tensor(group, dtype=torch.int64, device=model.device), (matrices[0], matrices[1]),
         torch.tensor(np.stack(degrees), dtype=model.dtype, device=model.device), _average(plain, count).to(model.device),
-        shares[0], shares[1], own[0], own[1], own[2], shares[2],
+        shares[0], shares[1], own[0], own[1], own[2], shares[2], own[3],
     )  # fmt: skip
 
 

@@ -436,6 +436,18 @@ def test_skin_that_no_photo_shows_is_plain_and_what_is_seen_stays(bare, bare_sur
     assert float(filled[skin & (places[:, 2] < -0.05)].mean()) > -0.02
 
 
+def test_a_brow_that_hair_hides_has_the_color_of_the_other_one(bare, bare_surface):
+    brows, left = bare_surface.brows, bare.anchor(bare.head.v_template).positions[:, 0] > 0.0
+    start, dark = torch.full((len(brows), 3), 0.6), torch.tensor([-0.3, -0.25, -0.2])
+    changes = torch.where((brows & ~left)[:, None], dark, torch.zeros(3))
+    seen, unknown = (~(brows & left)).to(start), torch.zeros(2, len(start))
+    filled = fill_colors(bare_surface, start, start, changes, seen, *unknown)
+    assert int((brows & left).sum()) > 20
+    torch.testing.assert_close(filled[brows & left].mean(0), dark, atol=0.04, rtol=0.0)
+    neither = fill_colors(bare_surface, start, start, torch.zeros_like(changes), (~brows).to(start), *unknown)
+    torch.testing.assert_close(neither[brows], torch.zeros_like(neither[brows]), atol=0.05, rtol=0.0)  # none is made up
+
+
 def test_what_no_photo_shows_is_the_priors_with_the_skins_change(bare, bare_surface):
     places = bare.anchor(bare.head.v_template).positions
     skin, front = bare_surface.group == SKIN, places[:, 2] > 0.0

@@ -26,6 +26,8 @@ class Drawn:
         depth: Metres, [S, S].
         lit: The bare person in the picture's light, linear RGB, [S, S, 3].
         bare: How much of each pixel no layer covers, [S, S].
+        downy: How much of each pixel is covered by strands that lie on skin, brows and beards, [S, S].
+        falling: What of the picture's light falls on the skin, in the units of `lit`, [S, S, 3].
     """
 
     camera: Camera
@@ -36,9 +38,12 @@ class Drawn:
     depth: np.ndarray
     lit: np.ndarray
     bare: np.ndarray = field(init=False)
+    downy: np.ndarray = field(init=False)
+    falling: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
-        self.bare = np.ones_like(self.cover)
+        self.bare, self.downy = np.ones_like(self.cover), np.zeros_like(self.cover)
+        self.falling = np.ones_like(self.color)
 
     def lay(
         self,
@@ -54,7 +59,7 @@ class Drawn:
         if label is not None:
             self.labels[cover > 0.4] = LABELS.index(label)
         self.cover = self.cover + cover * (1 - self.cover)
-        self.bare = self.bare * (1 - cover)
+        self.bare, self.downy = self.bare * (1 - cover), self.downy * (1 - cover)
         if normals is not None:
             self.normals = np.where(share > 0.5, normals, self.normals)
         if depth is not None:

@@ -219,7 +219,7 @@ def shade_throat(drawn: Drawn, g: Generator) -> None:
     down = smooth(g.uniform(-0.3, 0.1), g.uniform(0.3, 0.8), -drawn.normals[..., 1])
     down = np.maximum(down, (drawn.labels == LABELS.index("neck")) * g.uniform(0.3, 1.0))
     factor = 1 - g.uniform(0.3, 0.9) * (down * drawn.bare)[..., None] * np.clip(np.exp(g.normal(0, 0.1, 3)), 0.7, 1.0)
-    drawn.color, drawn.lit = drawn.color * factor, drawn.lit * factor
+    drawn.lit = drawn.lit * factor
 
 
 def glasses(drawn: Drawn, head: HeadModel, vertices: np.ndarray, g: Generator) -> None:

@@ -35,7 +35,8 @@ from .surroundings import background, blurred, lit
 IGNORED = 255  # label of pixels beyond the photo's edge
 DETAIL = {SCALP: 0.5, BROWS: 1.0, BEARD: 0.7, LASHES: 1.0}  # share of the strands of grooms that are drawn
 BEARDED = 0.4  # of the people
-VISIBLE = 0.3  # of the skin's color that a beard or brow must change to be seen: shade under a chin is none
+OFTEN = ["stubble", "stubble", "full", "full"]  # beards beside one of each kind
+VISIBLE = 0.2  # of the skin's color that a beard or brow must change to be seen: shade under a chin is none
 NAMES = list(MESH_PARTS)
 
 
@@ -64,7 +65,7 @@ class Maker:
             parts: list[StrandBlock] = []
             for group, name in enumerate(GROUPS):
                 if group != BEARD or g.random() < BEARDED:
-                    names = list(groom_names(name))
+                    names = list(groom_names(name)) + (OFTEN if group == BEARD else [])
                     groom = library_groom(names[int(g.integers(len(names)))], part=name).level(DETAIL[group])
                     parts += blocks_of(groom, self.head.v_template, self.head.faces)
             self._grooms.append(tuple(parts))
@@ -202,11 +203,13 @@ class Maker:
         radius = 0.13 * eye.pixels_per_metre()
         x, y = (columns - middle[0]) / radius, (rows - middle[1]) / radius
         out = np.stack([x, y, -np.sqrt(np.clip(1 - x * x - y * y, 0.05, 1))], -1) @ camera.world_to_camera[:3, :3]
-        before = drawn.color.sum(-1)
+        before, skin = drawn.color.sum(-1), drawn.bare
+        drawn.falling = drawn.lit / np.maximum(drawn.color, 1e-3)
         drawn.lay(cover, picture.rgb / np.maximum(cover[..., None], 1e-4), None, unit(out))
         changed = np.abs(drawn.color.sum(-1) - before) / np.maximum(before, 1e-3)
-        visible = blurred(changed[..., None], 1.0)[..., 0] > VISIBLE
+        visible = blurred(changed[..., None], 1.5)[..., 0] > VISIBLE
         most = picture.features.argmax(-1)
+        drawn.downy = (most != SCALP) * cover * skin
         for number, name in enumerate(("hair", "brows", "beard", "eyes")):
             there = (most == number) & (cover > (0.3 if name == "brows" else 0.4))
             if name != "eyes":
@@ -289,7 +292,7 @@ def _darker(scalp: HairSettings) -> HairSettings:
 
 def _beard_settings(scalp: HairSettings, g: Generator) -> HairSettings:
     """Of a beard: from shaved yesterday to one that hangs on the chest."""
-    longer = float(np.clip(np.exp(g.normal(0.0, 0.5)), 0.3, 3.0)) if g.random() < 0.65 else float(g.uniform(2.0, 5.0))
+    longer = float(np.clip(np.exp(g.normal(0.0, 0.5)), 0.3, 3.0)) if g.random() < 0.55 else float(g.uniform(2.0, 5.0))
     return _darker(scalp).changed(length=longer, density=float(g.choice([1.0, g.uniform(0.3, 1.0)])))
 
 

@@ -18,7 +18,8 @@ _GLOSSY, _STRANDS = ("skin", "ears", "neck", "hat"), ("hair", "brows", "beard")
 def lit(drawn: Drawn, light: Light, g: Generator) -> np.ndarray:
     """Replace the rig's light by another; returns linear RGB [S, S, 3].
 
-    Bare skin is as the engine has lit it; layers have normals, and no shadows but a random one.
+    Bare skin is as the engine has lit it, and strands on it are in its shadows; layers have normals, and no shadows but a
+    random one.
     """
     n = drawn.normals
 
@@ -42,7 +43,9 @@ def lit(drawn: Drawn, light: Light, g: Generator) -> np.ndarray:
     scale = (
         np.median((drawn.color * ratio)[skin].mean(-1)) / max(np.median(drawn.lit[skin].mean(-1)), 1e-4) if skin.any() else 1.0
     )
-    image = layers + (drawn.lit * np.clip(scale, 0.05, 20.0) - layers) * drawn.bare[..., None]
+    scale = np.clip(scale, 0.05, 20.0)
+    image = layers + (drawn.lit * scale - layers) * drawn.bare[..., None]
+    image = image + (drawn.color * drawn.falling * scale - layers) * drawn.downy[..., None]
     person = drawn.cover > 0.9
     # photos are exposed for the lit side of a face
     level = np.quantile(image.mean(-1)[person], 0.7 if light.side else 0.5) if person.any() else 0.2

@@ -25,10 +25,8 @@ SHOWN = 0.012  # metres: shorter strands show no coils, as stubble
 # metres: over which the directions of waves are averaged, of a line along strands, and of its steps; lines, and how many of
 # them must stay in clear hair
 WAVE_WINDOW, LINE, STEP, LINES, LEAST_LINES = 0.017, 0.08, 0.005, 1500, 60
-HARDLY_CLEAR, SMOOTHED = (
-    0.3,
-    3,
-)  # length of a direction that a line still follows, and pixels over which directions are averaged
+HARDLY_CLEAR = 0.3  # length of a direction that a line still follows
+SMOOTHED = 3  # pixels over which directions are averaged for these
 TURNING = (45.0, 90.0)  # degrees a centimetre: strands that turn less are straight, that turn more are coily
 
 

@@ -18,7 +18,7 @@ from ..hair.settings import HairSettings
 from ..hair.strands import blocks_of
 from .face_hair import face_hair
 from .hair_grain import waves
-from .hair_match import FINE_SIDE, OPACITY, SIDE, Stage, best_grooms, few, finished, wanted_waves
+from .hair_match import FINE_SIDE, LEAST_WAVES, OPACITY, SIDE, Stage, best_grooms, few, finished, wanted_waves
 from .hair_shape import with_hairline
 from .hair_view import hair_view, hardly_shown
 
@@ -94,9 +94,9 @@ def _varied(settings: HairSettings, groom: Groom, view: HairView, head: HeadMode
 
 
 def _curl(groom: Groom, stages: Sequence[Stage], head: HeadModel) -> float:
-    """The least curl of the settings with which a groom is about as wavy as in the photos; 0 where these tell nothing."""
+    """The least curl of the settings with which a groom is about as wavy as in the photos; 0 where these show no waves."""
     wanted = wanted_waves(stages)
-    if wanted is None:
+    if wanted is None or wanted <= LEAST_WAVES:
         return 0.0
     (block,) = blocks_of(few(groom), np.asarray(head.v_template), head.faces)[:1]
     return next((curl for curl in CURLS if waves(block.styled(HairSettings(curl=curl))) > CURLED * wanted), CURLS[-1])

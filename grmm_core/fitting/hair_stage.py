@@ -18,7 +18,7 @@ from ..hair.settings import HairSettings
 from ..hair.strands import blocks_of
 from .face_hair import face_hair
 from .hair_grain import waves
-from .hair_match import FINE_SIDE, LEAST_WAVES, OPACITY, SIDE, Stage, best_grooms, few, finished, wanted_waves
+from .hair_match import FINE_SIDE, OPACITY, SIDE, Stage, best_grooms, few, finished, wanted_waves
 from .hair_shape import with_hairline
 from .hair_view import hair_view, hardly_shown
 
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 FINISHED = 3  # matching grooms that are bent to the last millimetre before one is chosen
 VARIATION = (0.3, 1.0)  # of the color from lock to lock, by how much the photo has
 CURLS, CURLED = (0.0, 0.15, 0.3, 0.45, 0.6), 0.7  # settings to try, and which share of the waves is enough
+LEAST_CURLED = 1.0  # radians, as of `hair_grain.waves`: hair with fewer waves is straight
 LIGHTER = 0.2  # of melanin: by how much hair that hardly shows may be lighter than the brows
 
 
@@ -96,7 +97,7 @@ def _varied(settings: HairSettings, groom: Groom, view: HairView, head: HeadMode
 def _curl(groom: Groom, stages: Sequence[Stage], head: HeadModel) -> float:
     """The least curl of the settings with which a groom is about as wavy as in the photos; 0 where these show no waves."""
     wanted = wanted_waves(stages)
-    if wanted is None or wanted <= LEAST_WAVES:
+    if wanted is None or wanted < LEAST_CURLED:
         return 0.0
     (block,) = blocks_of(few(groom), np.asarray(head.v_template), head.faces)[:1]
     return next((curl for curl in CURLS if waves(block.styled(HairSettings(curl=curl))) > CURLED * wanted), CURLS[-1])

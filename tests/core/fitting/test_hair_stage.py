@@ -220,7 +220,7 @@ def test_long_hair_leaves_its_parting_sooner_than_short_hair_leaves_the_head():
 
 
 @pytest.mark.parametrize(
-    ("wavy", "least", "most"), [(None, 0.0, 0.0), (0.1, 0.0, 0.0), (0.3, 0.0, 0.0), (0.5, 0.15, 0.6), (2.0, 0.6, 0.6)]
+    ("wavy", "least", "most"), [(None, 0.0, 0.0), (0.1, 0.0, 0.0), (0.35, 0.0, 0.0), (0.5, 0.15, 0.6), (2.0, 0.6, 0.6)]
 )
 def test_straight_hair_is_curled_as_far_as_the_photo_shows(wavy, least, most):
     """Even very straight hair is left as it is where the photo shows no waves."""

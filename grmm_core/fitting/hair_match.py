@@ -118,7 +118,7 @@ def finished(match: Match, stages: Sequence[Stage], head: HeadModel) -> tuple[Gr
     groom = without_strays(groom, before, head)
     thin = Strands(groom, head, FINE_STRANDS)
     score = match.score - match.agreement + _agreement(stages, thin.course(stages, 1.0))
-    return groom, 1.0, score + _waves_apart(match.waves, stages) - _waves_apart(waves(even(few(groom))), stages)
+    return groom, 1.0, score + _waves_apart(match.waves, stages) - _waves_apart(waves(_even(few(groom))), stages)
 
 
 def _score(match: Match) -> float:
@@ -167,7 +167,7 @@ class Candidate(Strands):
         groom = library_groom(name, head.name)
         super().__init__(groom, head, STRANDS, flipped)
         self.name, self.flipped = name, flipped
-        strands = even(few(groom))
+        strands = _even(few(groom))
         self.coils, self.waves = coils(strands), waves(strands)
 
 
@@ -177,7 +177,7 @@ def few(groom: Groom) -> Groom:
     return groom.select(rows[:: max(1, len(rows) // STRANDS)]).resampled(GRAIN_POINTS)
 
 
-def even(groom: Groom) -> np.ndarray:
+def _even(groom: Groom) -> np.ndarray:
     """Strands [N, K, 3] of a groom whose strands have one number of points, each in the axes of its root."""
     return groom.points.reshape(len(groom), -1, 3)
 

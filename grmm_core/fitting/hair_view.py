@@ -27,7 +27,7 @@ def hair_view(track: PhotoTrack, parts: PhotoParts, head: HeadModel) -> HairView
     labels = np.stack([getattr(parts, item.name) for item in dataclasses.fields(parts)])
     hair = parts.hair**_SURE / np.maximum((labels**_SURE).sum(0), 1e-6)  # a small network's doubts are no thin hair
     counts = track.valid * (1.0 - parts.hat) * (1.0 - parts.other)
-    if parts.hat.sum() > parts.hair.sum():
+    if _hatted(parts):
         counts = counts * (1.0 - _like_skin(track.image, hair * counts > _LIKELY, parts.skin > _LIKELY))
     return HairView(track.camera, vertices, track.image, hair, counts)
 
@@ -42,6 +42,11 @@ def _like_skin(image: np.ndarray, hair: np.ndarray, skin: np.ndarray) -> np.ndar
     return found if found.sum() < MOSTLY * hair.sum() else np.zeros_like(found)
 
 
+def _hatted(parts: PhotoParts) -> bool:
+    """Whether more of a hat shows than of hair."""
+    return bool(parts.hat.sum() > parts.hair.sum())
+
+
 def hardly_shown(view: HairView, parts: PhotoParts) -> bool:
-    """Whether a photo shows so little hair that its color is not told, as below a hat."""
-    return bool((view.hair * view.counts).sum() < HARDLY_SHOWN * (1.0 - parts.background).sum())
+    """Whether so little hair shows below a hat, in its shade, that the photo does not tell its color."""
+    return _hatted(parts) and bool((view.hair * view.counts).sum() < HARDLY_SHOWN * (1.0 - parts.background).sum())

@@ -320,6 +320,8 @@ def test_hair_that_hardly_shows_is_about_as_dark_as_the_brows():
     found = person_hair([track], [hidden], head)
     assert found.parts["brows"].melanin > 0.6
     assert found.settings.melanin == pytest.approx(found.parts["brows"].melanin - LIGHTER)
+    bald = person_hair([track], [parts_of(1.0 - track.mask, hair=strip)], head)
+    assert bald.settings == HairSettings(), "the little hair without a hat may be white above dark brows"
 
 
 def test_the_shade_beside_hair_is_no_brow():

@@ -35,7 +35,9 @@ SHORT_BEARD = "short"
 LIKELY = 0.5  # of a pixel
 HANGING, BELOW = 0.08, 0.5  # of a beard's pixels outside the bald head, or on the throat as well: from here on it is long
 REACH, AROUND = 0.006, 0.05  # of the head's height: beside the mesh's brows, and from how far skin they are told
-DARK = (0.1, 0.3)  # how much darker than that skin: from where on a pixel is brow, and wholly
+# how much darker than that skin a pixel is that is wholly brow, and from which share of it on it is brow: the darkest tenth of
+# where brows are tells it, so that thin and fair ones are seen, too
+DARK, BROWN, DARKEST = (0.15, 0.3), 1 / 3, 0.9
 SHADE = 0.015  # of the head's height: around hair, which is dark there, too
 LOWER = (-0.004, 0.009)  # metres by which brows may be moved down; the mesh's are high
 BRIDGE, AROUND_BROWS = 168, 0.008  # landmark between the brows; metres around them in which skin is looked for
@@ -45,6 +47,7 @@ FEWEST = 0.05  # of the strands; fewer were no brows, and the plainest groom tak
 SIDES = 0.006  # metres between a hidden strand's mirror image and what stands there
 # metres from a strand under frames of glasses to those that tell what it is; share from which none do
 FRAMES, MOSTLY = 0.012, 0.45
+SHEEN = 0.3  # of brows and beards over scalp hair's, with which nothing were as dark as brown brows in photos
 BEHIND = 0.004  # metres below the skin that are still seen
 
 
@@ -82,7 +85,7 @@ def face_hair(
             groom = _at_height(library_groom("thin", head.name, "brows"), track, view, head)
         grooms.append(groom)
         shown = dataclasses.replace(view, hair=cover)
-        own[name] = with_colors(scalp.for_part(group), groom, [shown], head)
+        own[name] = with_colors(scalp.for_part(group).changed(sheen=SHEEN), groom, [shown], head)
     return grooms, own
 
 
@@ -97,15 +100,13 @@ def brow_cover(track: PhotoTrack, parts: PhotoParts, view: HairView, head: HeadM
     reach = max(1, round(AROUND * height))
     lit, count = box_sum(planes.double(), reach)[0].float().numpy()
     darker = 1.0 - light * count / np.maximum(lit, 1e-4 * (2 * reach + 1) ** 2)
-    cover: np.ndarray = np.clip((darker - DARK[0]) / (DARK[1] - DARK[0]), 0.0, 1.0) * region * (count > 0.5)
-    cover *= _at_landmarks(track, max(1.0, ARCH * height))
-    return (
-        cover
-        * (1.0 - parts.eyes)
-        * view.counts
-        * (1.0 - _beside_hair(track, parts, view))
-        * ~worn_glasses(track, parts).covered
-    )
+    there = region * (count > 0.5) * _at_landmarks(track, max(1.0, ARCH * height)) * (1.0 - parts.eyes) * view.counts
+    there = there * (1.0 - _beside_hair(track, parts, view)) * ~worn_glasses(track, parts).covered
+    if not (there > LIKELY).any():
+        return there
+    whole = float(np.clip(np.quantile(darker[there > LIKELY], DARKEST), *DARK))
+    cover: np.ndarray = np.clip((darker / whole - BROWN) / (1.0 - BROWN), 0.0, 1.0) * there
+    return cover
 
 
 def _beside_hair(track: PhotoTrack, parts: PhotoParts, view: HairView) -> np.ndarray:

@@ -32,9 +32,9 @@ if TYPE_CHECKING:
 COLOR_SIDE = 256  # pixels of the picture whose colors are compared
 _FULL = 0.8  # cover from which a pixel shows nothing but hair
 _SOME = 0.4  # likewise where there are few of these
-_FEW_PIXELS = 20
+_FEW_PIXELS, _FEWEST = 20, 8  # of hair; of thin brows
 _BARE, _NEAR = 0.05, 0.02  # cover below which a pixel is skin, and how near to hair that is looked for, of the picture's height
-_CLOSED, _MOST_BETWEEN = 0.1, 0.6  # share of skin between strands below which none shows, and what is believed of it
+_CLOSED, _MOST_BETWEEN = 0.1, 0.35  # share of skin between strands below which none shows, and what is believed of it
 _PULL = 2e-3  # towards pigment alone, where grey and red explain a color as well
 _ROUNDS = 4  # of finding a dye
 UNLIKELY = 0.02  # of a display color; if no pigment comes nearer, hair is dyed
@@ -72,7 +72,20 @@ def around_head(view: HairView) -> HairView:
     """The part of a picture that a head with hair can fill."""
     _, pixels = view.camera.project(view.vertices)
     low, high = pixels.min(0), pixels.max(0)
-    margin = MARGIN * float(high[1] - low[1])
+    return _around(view, low, high, MARGIN * float(high[1] - low[1]))
+
+
+def _around_hair(view: HairView) -> HairView:
+    """The part of a picture that shows hair, as brows: a few pixels of a whole head."""
+    rows, columns = np.nonzero(view.hair > _SOME)
+    if not len(rows):
+        return view
+    low, high = (np.array([edge(columns), edge(rows)]) for edge in (np.min, np.max))
+    return _around(view, low, high, max(MARGIN * float((high - low).max()), _FEW_PIXELS))
+
+
+def _around(view: HairView, low: np.ndarray, high: np.ndarray, margin: float) -> HairView:
+    """The part of a picture with corners [2] and a margin in pixels; all of it where that would be next to nothing."""
     left, top = (max(0, int(edge - margin)) for edge in low)
     right, bottom = (min(size, int(edge + margin) + 1) for edge, size in zip(high, view.hair.shape[::-1], strict=True))
     if right - left < _FEW_PIXELS or bottom - top < _FEW_PIXELS:  # the head is outside
@@ -98,21 +111,22 @@ def with_colors(
     Of hair that hardly shows, as beside a hat, only how dark and how grey it is is believed. `even` hair has no white hairs
     among dark ones: where it is grey, it is dyed so.
     """
-    view = around_head(views[0])
+    on_face = len(groom) > 0 and bool((groom.groups != SCALP).all())
+    view = _around_hair(views[0]) if on_face else around_head(views[0])
     side = min(1.0, COLOR_SIDE / max(view.hair.shape))
     size = max(1, round(view.camera.height * side)), max(1, round(view.camera.width * side))
     hair, counts = reduced(view.hair, size), reduced(view.counts, size)
     full = (hair > _FULL) & (counts > _FULL)
     if full.sum() < _FEW_PIXELS:  # little is seen, as under a hat
         full = (hair > _SOME) & (counts > _FULL)
-    if full.sum() < _FEW_PIXELS:
+    if full.sum() < (_FEWEST if on_face else _FEW_PIXELS):
         return settings
     image = np.stack([reduced(view.image[..., k], size) for k in range(3)], 2)
     strands = WornHair(groom, settings, view.vertices, view.camera.resized(size[1], size[0]), head)
     weights = strands.weights(full)
     wanted, cover = image[full].mean(0), strands.drawn(settings)[1]
     plain = full.sum() < _TELLING * cover.sum()
-    if len(groom) and (groom.groups != SCALP).all():  # brows and beards let the skin through, and so do drawn ones
+    if on_face:  # brows and beards let the skin through, and so do drawn ones
         wanted = _without_skin(image, hair, full, cover)
 
     @functools.cache  # each is asked for by several of its neighbours

@@ -365,6 +365,21 @@ def test_brows_stand_where_the_photo_has_them(name):
     assert name == "thin" or hair.parts["brows"].melanin > 0.6  # of 0.95; blond ones would be below 0.3
 
 
+def test_faint_brows_are_followed_and_darker_than_the_skin_between_their_hairs():
+    """Thin brows darken skin by a fifth: their hairs are darker than that, and not black."""
+    track, parts, head = face([(BROWS, library_groom("thin", part="brows"))])
+    bare = face([])[0].image
+    faint = replace(track, image=bare + 0.35 * (track.image - bare))
+    view = hair_view(faint, parts, head)
+    grooms, own = face_hair(faint, parts, view, head, HairSettings(melanin=0.4))
+    (brows,) = (groom for groom in grooms if (groom.groups == BROWS).all())
+    cover = brow_cover(faint, parts, view, head)
+    rgb, alpha = WornHair(brows, own["brows"], view.vertices, view.camera, head).drawn(own["brows"])
+    assert (alpha * (cover > 0.2)).sum() > 0.5 * alpha.sum(), "strands stand beside the brows"
+    skin, seen, tone = SKIN.mean(), faint.image[cover > 0.5].mean(), rgb.sum() / (3.0 * alpha.sum())
+    assert 0.5 * skin < tone < seen + 0.02
+
+
 def test_brows_go_as_low_as_the_photo_has_them():
     track, parts, head = face([(BROWS, library_groom("bushy", part="brows"))])
     low = track.landmarks.copy()

@@ -58,11 +58,21 @@ def add_sliders(obj: bpy.types.Object, head: bpy.types.Object, points: int, fami
     straight = next(socket for socket in blurred.outputs if socket.enabled)
     straighter = nodes.vector("SCALE", nodes.vector("SUBTRACT", straight, position), nodes.math("MULTIPLY", curl, -1.0))
     geometry = placed(nodes.math("LESS_THAN", curl, -_EPSILON), offset=straighter)
-    # cut, or grown on in the direction of the last third
+    # cut, or grown on as the last third goes, see `strands.lengthened`; never by more than two thirds
     reached = nodes.math("MULTIPLY", along, length)
-    ahead = nodes.vector("SUBTRACT", sampled(1.0), sampled(2.0 / 3.0))
-    beyond = nodes.math("MULTIPLY", nodes.math("MAXIMUM", nodes.math("SUBTRACT", reached, 1.0), 0.0), 3.0)
-    place = nodes.vector("ADD", sampled(nodes.math("MINIMUM", reached, 1.0)), nodes.vector("SCALE", ahead, beyond))
+    end = sampled(1.0)
+    twice = nodes.vector("SCALE", nodes.vector("SUBTRACT", end, sampled(2.0 / 3.0)), 2.0)
+    grown, again = nodes.math("GREATER_THAN", reached, 1.0), nodes.math("GREATER_THAN", reached, 4.0 / 3.0)
+    turned = nodes.math("SUBTRACT", grown, again)
+
+    def over(limit: float, most: float) -> bpy.types.NodeSocket:
+        return nodes.math("MINIMUM", nodes.math("MAXIMUM", nodes.math("SUBTRACT", reached, limit), 0.0), most)
+
+    back = nodes.math("SUBTRACT", nodes.math("MINIMUM", reached, 1.0), over(1.0, 1.0 / 3.0))
+    place = sampled(nodes.math("ADD", back, over(4.0 / 3.0, 1.0 / 3.0)))
+    place = nodes.vector("SCALE", place, nodes.math("SUBTRACT", 1.0, nodes.math("MULTIPLY", turned, 2.0)))
+    place = nodes.vector("ADD", place, nodes.vector("SCALE", end, nodes.math("MULTIPLY", turned, 2.0)))
+    place = nodes.vector("ADD", place, nodes.vector("SCALE", twice, again))
     other = nodes.math("GREATER_THAN", nodes.math("ABSOLUTE", nodes.math("SUBTRACT", length, 1.0)), _EPSILON)
     held = nodes.new("GeometryNodeInputNamedAttribute", {"Name": TIED}, data_type="FLOAT").outputs[0]
     geometry = placed(nodes.math("MULTIPLY", other, nodes.math("SUBTRACT", 1.0, held)), position=place)
@@ -78,11 +88,11 @@ def add_sliders(obj: bpy.types.Object, head: bpy.types.Object, points: int, fami
     tangent = nodes.new("GeometryNodeInputTangent").outputs[0]
     side = nodes.vector("NORMALIZE", nodes.vector("CROSS_PRODUCT", tangent, _SIDEWAYS))
     up = nodes.vector("CROSS_PRODUCT", tangent, side)
-    turned = angle(0.045, points / 5.0, math.tau, nodes.chance(curve, 1))
+    swung = angle(0.045, points / 5.0, math.tau, nodes.chance(curve, 1))
     wave = nodes.vector(
         "ADD",
-        nodes.vector("SCALE", side, nodes.math("COSINE", turned)),
-        nodes.vector("SCALE", up, nodes.math("SINE", turned)),
+        nodes.vector("SCALE", side, nodes.math("COSINE", swung)),
+        nodes.vector("SCALE", up, nodes.math("SINE", swung)),
     )
     waved = nodes.math("MULTIPLY", nodes.math("MULTIPLY", nodes.math("MAXIMUM", curl, 0.0), CURL), swing)
     parts = []

@@ -374,15 +374,22 @@ def smoothed(points: np.ndarray) -> np.ndarray:
 
 
 def lengthened(points: np.ndarray, length: float) -> np.ndarray:
-    """Strands [M, K, 3] cut to a share of their length, or grown on in the direction of their last third."""
-    count = points.shape[1]
-    at = np.linspace(0, length, count) * (count - 1)
-    base = np.minimum(at.astype(int), count - 2)
-    part = np.minimum(at - base, 1.0).astype(np.float32)[None, :, None]
-    inside = points[:, base] * (1 - part) + points[:, base + 1] * part
-    start = max(count - 1 - max(count // 3, 1), 0)
-    beyond = (np.maximum(at - (count - 1), 0.0) / (count - 1 - start)).astype(np.float32)[None, :, None]
-    return inside + beyond * (points[:, -1:] - points[:, start : start + 1])
+    """Strands [M, K, 3] cut to a share of their length, or grown on as their last third goes, with its coils and waves.
+
+    That is turned about its ends by half a turn again and again: in the mean it goes on straight, and nowhere is a kink.
+    """
+    at = np.linspace(0, length, points.shape[1])
+    inside = between(points, np.minimum(at, 1.0)).astype(points.dtype)
+    if length <= 1.0:
+        return inside
+    over = np.maximum(at - 1.0, 0.0) * 3.0
+    number = np.maximum(np.ceil(over) - 1.0, 0.0)
+    odd = number % 2 == 1
+    again = between(points, np.where(odd, 2.0 + over - number, 3.0 - over + number) / 3.0)
+    end, third = points[:, -1:], points[:, -1:] - between(points, np.array([2.0 / 3.0]))
+    number, odd = number[:, None], odd[:, None]
+    beyond = np.where(odd, again + (number + 1.0) * third, 2.0 * end + number * third - again)
+    return np.where(at[:, None] > 1.0, beyond.astype(points.dtype), inside)
 
 
 def across(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

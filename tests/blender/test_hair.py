@@ -59,6 +59,8 @@ def test_hair_is_what_blender_evaluates_of_curves(hair_script):
     assert found["cut"] == pytest.approx(0.4, abs=0.03)
     assert found["used"] == pytest.approx([1.0, 0.4])
     assert found["grown"] == pytest.approx(1.5, abs=0.1)
+    for name in ("cut_as_splats", "grown_as_splats"):
+        assert max(found[name]) < 0.0015, "metres; nodes go by length, splats by points"
     assert found["waved"] > 0.001
     assert found["rooted"] < 1e-5
     assert found["thick"] == pytest.approx(2, abs=0.01)

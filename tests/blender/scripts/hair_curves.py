@@ -176,7 +176,11 @@ report(short=float((shot()[..., 3] > 128).mean()), long=float((seen[..., 3] > 12
 use = module("grmm_blender.engine.pipeline").hair_of(worn())
 report(used=[use.settings.length, use.settings.melanin])
 hair.length = 1.5
-report(grown=length(evaluated()[0]) / length(whole))
+grown = evaluated()[0]
+report(grown=length(grown) / length(whole))
+for name, points, factor in (("cut_as_splats", cut, 0.4), ("grown_as_splats", grown, 1.5)):
+    off = np.linalg.norm(points - module("grmm_core.hair.strands").lengthened(whole, factor), axis=2)
+    report(**{name: np.median(off, 0).tolist()})
 hair.property_unset("length")
 hair.curl, hair.frizz, hair.thickness, hair.density = 1.0, 1.0, 2.0, 0.5
 waved, thick = evaluated()

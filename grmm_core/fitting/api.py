@@ -146,7 +146,8 @@ def _make(
     session = make_local_session(request.weights or None, request.device, None, request.head or None, "torch")
     loaded = session.engine.store.default()
     head, folder = loaded.model.head_model, request.work_folder
-    tracks = _tracks(request, job, photos, masks, loaded.model, loaded.info, report, on_faces)
+    with beside(_first_optimiser):
+        tracks = _tracks(request, job, photos, masks, loaded.model, loaded.info, report, on_faces)
     hairless = loaded.model.config.hairless
     parts = [parse(track, head) for track in tracks] if hairless else []
 
@@ -192,6 +193,13 @@ def _make(
     finish(0.85)
     save_presented(avatar, request.output, session)
     return avatar, tracks, left_out(tracks, head)
+
+
+def _first_optimiser(told: Share) -> None:
+    """Make one: at the first torch imports its compiler, for three seconds, while photos are analysed."""
+    import torch
+
+    torch.optim.Adam([torch.zeros(1, requires_grad=True)])
 
 
 def _tracks(

@@ -27,7 +27,9 @@ if TYPE_CHECKING:
     from ..photo.parser import PhotoParts
     from .types import PhotoTrack
 
-FINISHED = 3  # matching grooms that are bent to the last millimetre before one is chosen
+# matching grooms that are bent to the last millimetre before one is chosen, and how much less than the best's their score is at
+# most: that changes by 0.06 more for one groom than for another (13 photos)
+FINISHED, CLOSE = 3, 0.08
 VARIATION = (0.3, 1.0)  # of the color from lock to lock, by how much the photo has
 CURLS, CURLED = (0.0, 0.15, 0.3, 0.45, 0.6), 0.7  # settings to try, and which share of the waves is enough
 LEAST_CURLED = 1.0  # radians, as of `hair_grain.waves`: hair with fewer waves is straight
@@ -75,7 +77,8 @@ def fit_hair(views: Sequence[HairView], head: HeadModel, progress: Callable[[flo
     if not matches[0].name:
         return None
     stages = [Stage(around_head(view), head, FINE_SIDE) for view in views]
-    groom, length, _ = max((finished(match, stages, head) for match in matches[:FINISHED]), key=lambda made: made[2])
+    likely = [match for match in matches[:FINISHED] if match.score >= matches[0].score - CLOSE]
+    groom, length, _ = max((finished(match, stages, head) for match in likely), key=lambda made: made[2])
     groom = with_hairline(groom, stages, head)
     settings = with_colors(HairSettings(length=length, curl=_curl(groom, stages, head)), groom, views, head)
     return Hair(groom, _varied(settings, groom, around_head(views[0]), head))

@@ -308,7 +308,9 @@ def _block(
             spread[:, 1] += (ends - local[:, -1])[owner]
         spread[fresh, 1] += (left - 1.0) * ends[owner[fresh]]
     numbers = np.arange(total)
-    chance = np.stack([(numbers * step + 0.37) % 1.0 for step in (_PLASTIC, _THIRD, _GOLDEN)], 1)
+    parents, turns = numbers % len(groom), numbers // len(groom)
+    thinned = parents * _PLASTIC + turns * _GOLDEN  # whatever the count of parents, thin hair has some of each, and no tufts
+    chance = np.stack([(row + 0.37) % 1.0 for row in (thinned, numbers * _THIRD, numbers * _GOLDEN)], 1)
     return StrandBlock(
         group, rows, part, frames, local, widths / children, light, lock, held, owner, spread.astype(np.float32),
         chance.astype(np.float32), groom.tints if groom.tints is not None and groom.tints.any() else None,

@@ -210,3 +210,14 @@ def test_hairs_of_straight_hair_end_beside_each_other_and_those_of_ropes_togethe
 
     assert 0.7 < left("bob") < 1.2
     assert left("locs") < 0.65
+
+
+@pytest.mark.parametrize("name", ["buzz", "coily", "crop", "fade", "mohawk"])
+def test_thin_hair_is_thin_everywhere(head, name):
+    """Of the strands beside each stored one about as many are left, however many are stored: no tufts between bare skin."""
+    blocks = blocks_of(library_groom(name), np.asarray(head.v_template, float), head.faces)
+    for block in blocks:
+        there = block.level(1.0, HairSettings(density=0.3))[1] > 0.5
+        left = np.bincount(block.owner[: len(there)], there, len(block.rows))
+        assert left.min() >= 1
+        assert left.std() < 0.8

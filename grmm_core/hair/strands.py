@@ -309,8 +309,9 @@ def _block(
         spread[fresh, 1] += (left - 1.0) * ends[owner[fresh]]
     numbers = np.arange(total)
     parents, turns = numbers % len(groom), numbers // len(groom)
-    thinned = parents * _PLASTIC + turns * _GOLDEN  # whatever the count of parents, thin hair has some of each, and no tufts
-    chance = np.stack([(row + 0.37) % 1.0 for row in (thinned, numbers * _THIRD, numbers * _GOLDEN)], 1)
+    # even among the strands of each parent, however many parents there are: thin hair has no tufts, grey hair no white locks
+    steps = ((_PLASTIC, _GOLDEN), (_THIRD, _PLASTIC), (_GOLDEN, _THIRD))
+    chance = np.stack([(parents * first + turns * then + 0.37) % 1.0 for first, then in steps], 1)
     return StrandBlock(
         group, rows, part, frames, local, widths / children, light, lock, held, owner, spread.astype(np.float32),
         chance.astype(np.float32), groom.tints if groom.tints is not None and groom.tints.any() else None,

@@ -212,12 +212,12 @@ def test_hairs_of_straight_hair_end_beside_each_other_and_those_of_ropes_togethe
     assert left("locs") < 0.65
 
 
-@pytest.mark.parametrize("name", ["buzz", "coily", "crop", "fade", "mohawk"])
-def test_thin_hair_is_thin_everywhere(head, name):
-    """Of the strands beside each stored one about as many are left, however many are stored: no tufts between bare skin."""
-    blocks = blocks_of(library_groom(name), np.asarray(head.v_template, float), head.faces)
-    for block in blocks:
+@pytest.mark.parametrize("name", ["buzz", "coily", "crop", "fade", "undercut"])
+def test_thin_and_grey_hair_is_so_everywhere(head, name):
+    """Beside each stored strand about as many are left, or grey, however many are stored: no tufts, and no white locks."""
+    for block in blocks_of(library_groom(name), np.asarray(head.v_template, float), head.faces):
         there = block.level(1.0, HairSettings(density=0.3))[1] > 0.5
         left = np.bincount(block.owner[: len(there)], there, len(block.rows))
         assert left.min() >= 1
-        assert left.std() < 0.8
+        for chosen in (there, *(block.chance[: len(there), 1:].T < 0.3)):
+            assert np.bincount(block.owner[: len(there)], chosen, len(block.rows)).std() < 0.8

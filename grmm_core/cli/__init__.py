@@ -37,6 +37,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         The exit code: 0, 1 for an error, 2 for wrong usage.
     """
+    try:
+        code = _run(argv)
+        sys.stdout.flush()  # a pipe that is closed is noticed here, not at exit
+    except BrokenPipeError:
+        # The reader of our output (a pager, head) has left; Python must not complain about it at exit either.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_ERROR
+    return code
+
+
+def _run(argv: Sequence[str] | None) -> int:
+    """As `main`, but for `BrokenPipeError`, which help and lists raise as well."""
     parser, modules = build_parser()
     try:
         args = parser.parse_args(argv)
@@ -55,7 +67,6 @@ def main(argv: Sequence[str] | None = None) -> int:
             return result
         if isinstance(result, Mapping):
             console.result(result)
-        console.flush()
     except GrmmError as error:
         return _fail(args, console, str(error))
     except KeyboardInterrupt:
@@ -65,9 +76,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except MemoryError:
         return _fail(args, console, "There is not enough memory; choose a smaller size or close other programs.")
     except BrokenPipeError:
-        # The reader of our output (a pager, head) has left; Python must not complain about it at exit either.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return EXIT_ERROR
+        raise
     except Exception as error:  # noqa: BLE001 - the last line of defence: no traceback unless it is asked for
         if _out_of_gpu_memory(error):
             return _fail(args, console, "The graphics card has not enough memory; choose a smaller size or --device cpu.")

@@ -79,10 +79,6 @@ class Console:
         """Whether somebody watches a terminal."""
         return not self.as_json and self._stderr.isatty()
 
-    def flush(self) -> None:
-        """Hand everything to the system now, so that a closed pipe is noticed here."""
-        self._stdout.flush()
-
     @contextmanager
     def progress(self, stages: JobStages) -> Iterator[ProgressCallback]:
         """Show how far a piece of work is while the block runs: a bar on a terminal, or events.

@@ -85,8 +85,8 @@ def splats_of(target: Avatar | Cloud, depsgraph: bpy.types.Depsgraph, options: S
     hair, source = functools.partial(hair_of, shot, moves=not options.canonical), target.source
 
     def make() -> SplatCloud:
-        session, number = session_host.get_session(), session_host.open_avatar(source).id
-        cloud = splat_cloud(session, number, controls, options.degree, options.lod, hair())
+        session, opened = session_host.get_session(), session_host.open_avatar(source)
+        cloud = splat_cloud(session, opened, controls, options.degree, options.lod, hair())
         return cloud if options.whole else cloud.visible()
 
     return make
@@ -119,8 +119,8 @@ def lam_of(target: Avatar | Cloud, depsgraph: bpy.types.Depsgraph, options: Spla
     controls, shot, source = _controls(target, depsgraph, options.canonical), _shot(target, depsgraph), target.source
 
     def make() -> LamAvatar:
-        session, number = session_host.get_session(), session_host.open_avatar(source).id
-        return lam_avatar(session, number, controls, options.lod, hair=hair_of(shot, moves=False))
+        session, opened = session_host.get_session(), session_host.open_avatar(source)
+        return lam_avatar(session, opened, controls, options.lod, hair=hair_of(shot, moves=False))
 
     return make
 
@@ -246,9 +246,9 @@ def gaussian_avatar(
     controls, shot = _controls(avatar, depsgraph, canonical=True), _shot(avatar, depsgraph)
 
     def make() -> GaussianAvatar:
-        session, number = session_host.get_session(), session_host.open_avatar(source).id
+        session, opened = session_host.get_session(), session_host.open_avatar(source)
         hair = hair_of(shot, moves=False)
-        return flame_avatar(session, number, controls, load_flame(path), track, options.degree, options.lod, hair)
+        return flame_avatar(session, opened, controls, load_flame(path), track, options.degree, options.lod, hair)
 
     return make
 

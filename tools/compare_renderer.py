@@ -93,7 +93,7 @@ def main() -> int:
     ]
     columns, worst = [], np.inf
     with create_session() as session:
-        write_splats(file, splat_cloud(session, session.open(arguments.avatar).id, Controls(), arguments.sh_degree))
+        write_splats(file, splat_cloud(session, session.open(arguments.avatar), Controls(), arguments.sh_degree))
         cloud = read_splats(file)
         number = session.put_cloud("file", "1", CloudArrays(cloud.means, cloud.quats, cloud.scales, cloud.opacities, cloud.sh))
         options = RenderOptions(passes=("rgb",), background=(0.0, 0.0, 0.0))

@@ -44,6 +44,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         # The reader of our output (a pager, head) has left; Python must not complain about it at exit either.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_ERROR
+    except KeyboardInterrupt:  # while the commands were loaded
+        sys.stderr.write("grmm: Cancelled.\n")
+        return EXIT_ERROR
     return code
 
 

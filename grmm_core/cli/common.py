@@ -18,6 +18,7 @@ from ..fitting.request import DEVICES
 from ..hair import SETTINGS, HairSettings, groom_names
 from ..hair.roots import GROUPS, SCALP
 from ..jobs.cluster import Cluster, open_cluster
+from ..session.values import AvatarInfo
 from ..session.wearing import GROOM_PREFIX, NO_HAIR, OWN_HAIR, PARTS, RANDOM_PREFIX, HairUse
 from .console import Console
 
@@ -97,21 +98,31 @@ def add_hair(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
-def hair_of(args: argparse.Namespace) -> HairUse:
-    """Return the hair that --hair, --hair-set and so on ask for. Raises `ControlError`."""
+def hair_of(args: argparse.Namespace, avatar: AvatarInfo) -> HairUse:
+    """Return the hair that --hair, --hair-set and so on ask for; what they do not say is as the avatar has it.
+
+    Another style takes the person's color over, as in Blender's panel.
+
+    Raises:
+        ControlError: There is no such part or setting.
+    """
     values: dict[str, dict[str, float]] = {}
     for name, value in parse_assignments(args.hair_set).items():
         part, _, setting = name.rpartition(".")
         if part and part not in PARTS:
             raise ControlError(f"Hair has no part {part!r} with settings of its own; it has {', '.join(PARTS)}.")
         values.setdefault(part, {})[setting] = value
-    main = values.pop("", None)
-    settings = None if main is None else HairSettings().changed(**main)
-    base = settings or HairSettings()
-    parts = {part: base.for_part(GROUPS.index(part)).changed(**changes) for part, changes in values.items()}
+    main = values.pop("", {})
+    own = avatar.hair or HairSettings()
+    settings = own.changed(**main)
+    parts = {
+        part: (avatar.hair_parts.get(part) or settings.for_part(GROUPS.index(part))).changed(**changes)
+        for part, changes in values.items()
+    }
     named = args.hair in (OWN_HAIR, NO_HAIR) or args.hair.startswith(RANDOM_PREFIX)
     groom = args.hair if named else GROOM_PREFIX + args.hair.removeprefix(GROOM_PREFIX)
-    return HairUse(groom, settings, brows=args.brows, beard=args.beard, lashes=args.lashes, parts=parts)
+    worn = None if groom == OWN_HAIR and not main else settings
+    return HairUse(groom, worn, brows=args.brows, beard=args.beard, lashes=args.lashes, parts=parts)
 
 
 def add_events(parser: argparse.ArgumentParser) -> None:

@@ -141,7 +141,7 @@ def _write_folder(
     if played is None:
         played = record([controls], np.zeros(1), _STILL_RATE, load_open_head())
     track = played if played.expression is not None else to_expression(played, flame)
-    made = flame_avatar(session, avatar.id, controls.at_rest(), flame, track, args.sh_degree, args.lod)
+    made = flame_avatar(session, avatar, controls.at_rest(), flame, track, args.sh_degree, args.lod, hair_of(args, avatar))
     make_folder(args.output)
     warnings = (*played.warnings, *target.write(args.output, made))
     facts = {"avatar": avatar.name, "gaussians": made.cloud.count, "frames": track.frame_count}
@@ -169,10 +169,10 @@ def _content(
 ) -> tuple[Any, dict[str, int]]:  # fmt: skip
     """What is written, and how much of it there is; `report` hears of expressions that are evaluated one by one."""
     if target.name == "lam":
-        made = lam_avatar(session, avatar.id, controls, args.lod, report, hair_of(args))
+        made = lam_avatar(session, avatar, controls, args.lod, report, hair_of(args, avatar))
         return made, {"gaussians": made.cloud.count, "morphs": len(made.mesh.morphs)}
     if target.holds == "splats":
-        cloud = splat_cloud(session, avatar.id, controls, args.sh_degree, args.lod, hair_of(args))
+        cloud = splat_cloud(session, avatar, controls, args.sh_degree, args.lod, hair_of(args, avatar))
         return cloud, {"gaussians": cloud.count}
     head = _head(avatar)
     mesh = session.deform(avatar.id, controls)
@@ -180,7 +180,7 @@ def _content(
         morphs = morph_targets(session, avatar.id, controls, report=report) if target.morphs else {}
         count = {"vertices": len(mesh.vertices), "faces": len(head.faces), **({"morphs": len(morphs)} if morphs else {})}
         return Mesh(mesh.vertices, head.faces, head.uv, head.uv_faces, morphs), count
-    cloud = splat_cloud(session, avatar.id, controls, args.sh_degree, args.lod, hair_of(args))
+    cloud = splat_cloud(session, avatar, controls, args.sh_degree, args.lod, hair_of(args, avatar))
     arrays = {
         "vertices": mesh.vertices, "displacement": mesh.displacement, "joints": mesh.joints,
         "faces": head.faces, "uv": head.uv, "uv_faces": head.uv_faces,

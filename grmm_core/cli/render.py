@@ -106,7 +106,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     if path.suffix.lower() not in SUFFIXES:
         raise ConfigError(f"{path} does not end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}; choose one of these formats.")
     check_folder(path)
-    controls, hair, (lighting, response) = controls_of(args), hair_of(args), _light(args)
+    controls, (lighting, response) = controls_of(args), _light(args)
     played = performance_of(args)
     if played is None and (args.hair_swing is not None or args.frames is not None):
         raise ConfigError("Hair swings, and frames are chosen, in a performance; name one with --performance.")
@@ -119,7 +119,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     seconds = 0.0
     with create_session(weights=args.weights, device=args.device, threads=args.threads, head=args.head) as session:
         avatar = session.open(args.avatar)
-        frames = [controls]
+        hair, frames = hair_of(args, avatar), [controls]
         if played is not None:
             played = playable(played, avatar, args)
             frames = [together(controls, played.controls(number)) for number in range(played.frame_count)]

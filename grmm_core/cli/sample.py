@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
+from ..avatar.file import EXTENSION
+from ..errors import ConfigError
 from ..session import create_session
 from .common import add_model, add_output, check_folder
 
@@ -19,6 +21,8 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
     """Draw the person and write the file."""
+    if args.output.suffix != EXTENSION:
+        raise ConfigError(f"{args.output} does not end in {EXTENSION}; a person is written as such a file.")
     check_folder(args.output)
     with create_session(weights=args.weights, device=args.device, threads=args.threads, head=args.head) as session:
         avatar = session.sample(args.seed)

@@ -47,7 +47,6 @@ FEWEST = 0.05  # of the strands; fewer were no brows, and the plainest groom tak
 SIDES = 0.006  # metres between a hidden strand's mirror image and what stands there
 # metres from a strand under frames of glasses to those that tell what it is; share from which none do
 FRAMES, MOSTLY = 0.012, 0.45
-SHEEN = 0.3  # of brows and beards over scalp hair's, with which nothing were as dark as brown brows in photos
 BEHIND = 0.004  # metres below the skin that are still seen
 
 
@@ -85,7 +84,7 @@ def face_hair(
             groom = _at_height(library_groom("thin", head.name, "brows"), track, view, head)
         grooms.append(groom)
         shown = dataclasses.replace(view, hair=cover)
-        own[name] = with_colors(scalp.for_part(group).changed(sheen=SHEEN), groom, [shown], head)
+        own[name] = with_colors(scalp.for_part(group), groom, [shown], head)
     return grooms, own
 
 

@@ -125,6 +125,8 @@ class Camera:
         """
         if not 0.0 < fov < 180.0 or not distance > 0.0:
             raise ShapeError("The camera needs a distance above 0 and a field of view between 0 and 180 degrees.")
+        if not (math.isfinite(yaw) and math.isfinite(pitch)):
+            raise ShapeError(f"The camera's yaw {yaw} and pitch {pitch} must be finite numbers of degrees.")
         a, b = math.radians(yaw), math.radians(pitch)
         backward = np.array([math.sin(a) * math.cos(b), math.sin(b), math.cos(a) * math.cos(b)])
         right = np.array([math.cos(a), 0.0, -math.sin(a)])

@@ -17,6 +17,7 @@ from .roots import LASHES, SCALP
 PIGMENTS = ("melanin", "redness", "grey", "dye", "dye_red", "dye_green", "dye_blue")
 LASH_MELANIN = 0.85  # lashes are dark, also those of fair people
 DARKER = 0.15  # melanin that brows and beards have more: their hairs are coarser, and none shades another
+FACE_SHEEN = 0.3  # of brows and beards: with scalp hair's black ones are grey on dark skin, and none is brown
 
 
 def _setting(default: float, low: float, high: float, text: str) -> Any:
@@ -63,14 +64,14 @@ class HairSettings:
         return replace(self, **values)
 
     def for_part(self, group: int) -> HairSettings:
-        """What brows, beard or lashes start from beside scalp hair of these settings: its pigments, darker; lashes black."""
+        """What brows, beard or lashes start from beside scalp hair: its pigments, darker, with less sheen; lashes black."""
         if group == SCALP:
             return self
         pigments = dict(zip(PIGMENTS, self.color_key, strict=True))
         if group == LASHES:
             pigments.update(melanin=max(self.melanin, LASH_MELANIN), grey=0.0, dye=0.0)
         else:
-            pigments.update(melanin=self.melanin + DARKER)
+            pigments.update(melanin=self.melanin + DARKER, sheen=FACE_SHEEN)
         return HairSettings(**pigments)
 
     def to_json(self) -> dict[str, float]:

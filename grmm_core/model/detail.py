@@ -10,8 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..geometry.libraries import Array, as_like, zeros
+from ..geometry.libraries import Array, as_like, library_of, zeros
+from ..geometry.rotations import quaternion_to_matrix
 from ..splat.types import Gaussians
+
+CLOSING = 4.0  # over the variance of a block's texels, which alone leaves gaps between blocks
+_LEAST = 1e-4  # of an opacity; keeps the means of hidden texels defined
 
 
 class Blocks(NamedTuple):
@@ -50,8 +54,9 @@ def texel_blocks(texel: np.ndarray, grid: int, lod: int) -> Blocks:
 def thin_out(gaussians: Gaussians, blocks: Blocks, lod: int) -> Gaussians:
     """Replace each block of texels by one Gaussian.
 
-    It takes the place and frame of the block's middle texel, the mean of what can be averaged, and 2^lod times the size in the
-    surface, so that the skin stays closed.
+    It has the axes of the block's middle texel, and the mean of what can be averaged, in which texels count by their opacity.
+    Its variance in the surface is a texel's and `CLOSING` times that of the texels' places, so that the skin stays closed and
+    little stands out beside a curved one; it is never wider than 2^lod texels, whatever lies in the block beyond a seam.
 
     Args:
         gaussians: All Gaussians, [N].
@@ -60,16 +65,25 @@ def thin_out(gaussians: Gaussians, blocks: Blocks, lod: int) -> Gaussians:
     """
     order = np.argsort(blocks.block, kind="stable")
     ends = np.cumsum(blocks.counts).astype(np.int64)
+    library = library_of(gaussians.means)
+    weights = library.clip(gaussians.opacities, _LEAST, None)
+    total = _block_sums(weights, order, ends)
 
     def mean(values: Array) -> Array:
-        return _block_sums(values, order, ends) / as_like(blocks.counts.reshape(-1, *[1] * (values.ndim - 1)), values)
+        columns = (-1, *[1] * (values.ndim - 1))
+        result: Array = _block_sums(values * weights.reshape(columns), order, ends) / total.reshape(columns)
+        return result
 
-    grow = as_like((1 << lod, 1 << lod, 1), gaussians.scales)
+    means, scales, quats = mean(gaussians.means), mean(gaussians.scales), gaussians.quats[blocks.middle]
+    axes = quaternion_to_matrix(quats)  # its columns
+    offsets = gaussians.means - means[blocks.block]
+    apart = CLOSING * mean((offsets[:, :, None] * axes[blocks.block]).sum(1)[:, :2] ** 2)
+    flat = (scales[:, :2] ** 2 + library.minimum(apart, (4**lod - 1) * scales[:, :2] ** 2)) ** 0.5
     return Gaussians(
-        means=gaussians.means[blocks.middle],
-        quats=gaussians.quats[blocks.middle],
-        scales=mean(gaussians.scales) * grow,
-        opacities=mean(gaussians.opacities),
+        means=means,
+        quats=quats,
+        scales=library.concatenate([flat, scales[:, 2:]], -1),
+        opacities=_block_sums(gaussians.opacities, order, ends) / as_like(blocks.counts, total),
         colors=mean(gaussians.colors),
         features=None if gaussians.features is None else mean(gaussians.features),
     )

@@ -155,5 +155,6 @@ def _info(target: OpenAvatar) -> AvatarInfo:
         provenance=MappingProxyType(dataclasses.asdict(avatar.provenance)),
         thumbnail=avatar.thumbnail,
         hair=None if avatar.hair is None else avatar.hair.settings,
+        hair_parts=MappingProxyType({} if avatar.hair is None else dict(avatar.hair.parts)),
         antialiased=model.config.antialias,
     )

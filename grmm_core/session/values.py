@@ -61,6 +61,7 @@ class AvatarInfo:
         provenance: Where the avatar comes from (keys of `avatar.Provenance`).
         thumbnail: PNG bytes, or empty.
         hair: Settings of the strands that the avatar has of its own; None where its hair is in its Gaussians only.
+        hair_parts: Those of its brows, beard and lashes, by these names, where they are not `HairSettings.for_part` of `hair`.
         antialiased: Its Gaussians want the opacity compensation of antialiasing (`splat.compensation`) from what draws them.
     """
 
@@ -82,6 +83,7 @@ class AvatarInfo:
     provenance: Mapping[str, object] = field(default_factory=lambda: MappingProxyType({}))
     thumbnail: bytes = b""
     hair: HairSettings | None = None
+    hair_parts: Mapping[str, HairSettings] = field(default_factory=lambda: MappingProxyType({}))
     antialiased: bool = False
 
 

@@ -61,10 +61,11 @@ def captured_hair(
             shown = [_hair_view(*view, head, GROUPS[group]) for view in views] if len(some) else []
             if shown:
                 clearest = max(shown, key=lambda view: float(view.hair.sum()))
-                colored = with_colors(settings.for_part(group), some, [clearest], head, even=even and group == SCALP)
+                before = settings.for_part(group).changed(sheen=settings.sheen)  # the studio's brows glint as its scalp hair
+                colored = with_colors(before, some, [clearest], head, even=even and group == SCALP)
                 if group == SCALP:
                     settings = colored
-                elif colored != settings.for_part(group):
+                else:
                     parts[GROUPS[group]] = colored.changed(dye=settings.dye)  # pigment alone, so that its sliders act
         return Hair(groom, settings, parts)
     return None

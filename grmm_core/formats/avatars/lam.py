@@ -124,7 +124,9 @@ def write_lam(path: str | os.PathLike[str], avatar: LamAvatar) -> list[str]:
     if cloud.count != len(mesh.vertices):
         raise ShapeError(f"A LAM avatar needs a splat for each vertex; got {cloud.count} for {len(mesh.vertices)}.")
     if cloud.count > most:
-        raise ShapeError(f"LAM's viewer holds {most} splats with {len(mesh.morphs)} shapes; reduce the {cloud.count} splats.")
+        raise ShapeError(
+            f"LAM's viewer holds {most} splats with {len(mesh.morphs)} shapes; reduce the {cloud.count} by a level."
+        )
     rgb = np.clip(cloud.colors(), 0.0, 1.0).astype(np.float32)
     offsets = replace(cloud, means=cloud.means - mesh.vertices, sh=rgb[:, None])
     members = {

@@ -68,6 +68,10 @@ def test_sample_makes_an_avatar_that_renders(grmm, render, weights, tmp_path):
     assert grmm("sample", "--seed", 5, "-o", again, "--weights", weights)[0] == 0
     np.testing.assert_array_equal(load_avatar(path).z_id, load_avatar(again).z_id)
     assert render(path, "-o", tmp_path / "x.png", "--size", "32")[0] == 0
+    picture = tmp_path / "picture.png"
+    code, _, err = grmm("sample", "-o", picture, "--weights", weights)
+    assert (code, picture.exists()) == (1, False)
+    assert "does not end in .grmm" in err
     code, out, _ = grmm("info", path, "--json")
     assert json.loads(out)["name"] == "Sample 5"
     assert json.loads(out)["from photos"] is False
@@ -168,7 +172,7 @@ def test_interrupting_is_one_sentence(grmm, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "first"), [("info", "grmm: "), ("render default -o picture.png --list-controls", "name "), ("--help", "usage: ")]
+    ("arguments", "first"), [("info", "grmm: "), ("render default -o x.png --list-controls", "name "), ("--help", "usage: ")]
 )
 def test_the_module_runs_and_survives_a_closed_pipe(arguments, first):
     environment = os.environ | {"PYTHONPATH": str(ROOT)}

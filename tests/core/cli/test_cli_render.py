@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import struct
 from dataclasses import replace
@@ -11,11 +12,12 @@ import numpy as np
 from PIL import Image
 
 from grmm_core.avatar import save_avatar
+from grmm_core.cli.common import add_hair, hair_of
 from grmm_core.fitting.photo_light import SUNS
 from grmm_core.fitting.result import LIGHT
 from grmm_core.model.people import default_avatar
 from grmm_core.model.weights_file import read_weights
-from grmm_core.session import EMPTY_DEPTH
+from grmm_core.session import EMPTY_DEPTH, create_session
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -69,6 +71,23 @@ def test_render_writes_every_pass(render, tmp_path):
     header = (tmp_path / "x.normal.png").read_bytes()[16:26]
     assert struct.unpack(">IIBB", header) == (48, 48, 16, 2)
     assert read_png(tmp_path / "x.raw.png").shape == (48, 48, 4)
+
+
+def test_what_is_not_said_of_hair_is_the_persons_own():
+    """A cut by --hair-set length=0.7 had dyed blond hair black."""
+    parser = argparse.ArgumentParser()
+    add_hair(parser)
+    with create_session("local") as session:
+        person = session.open("library:freckles")
+    assert person.hair is not None
+    for options in ("--hair-set length=0.7", "--hair long", "--hair long --hair-set frizz=0.5"):
+        worn = hair_of(parser.parse_args(options.split()), person).settings
+        assert worn is not None
+        assert worn.color_key == person.hair.color_key
+    cut = hair_of(parser.parse_args(["--hair-set", "brows.length=0.5"]), person)
+    assert cut.settings is None
+    assert cut.parts["brows"] == person.hair_parts["brows"].changed(length=0.5)
+    assert hair_of(parser.parse_args([]), person).settings is None
 
 
 def test_render_puts_hair_on(render, tmp_path):

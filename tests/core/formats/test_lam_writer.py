@@ -111,7 +111,7 @@ def person(local):
 @pytest.fixture(scope="module")
 def written(local, person, tmp_path_factory):
     """An avatar of the tiny model, with half a smile, and its file."""
-    avatar = lam_avatar(local, person.id, Controls().set_named({"mouthSmileLeft": 0.5}), lod=1)
+    avatar = lam_avatar(local, person, Controls().set_named({"mouthSmileLeft": 0.5}), lod=1)
     path = tmp_path_factory.mktemp("lam") / "person.zip"
     write_lam(path, avatar)
     return avatar, path
@@ -167,7 +167,7 @@ def test_heads_at_another_height_are_brought_down(tmp_path, height):
 
 
 def test_avatars_that_the_viewer_cannot_hold_are_refused(tmp_path):
-    with pytest.raises(ShapeError, match="holds 158275 splats with 52 shapes; reduce the 158276"):
+    with pytest.raises(ShapeError, match="holds 158275 splats with 52 shapes; reduce the 158276 by a level"):
         write_lam(tmp_path / "a.zip", _avatar(count=158_276, morphs=52))
     with pytest.raises(ShapeError, match="a splat for each vertex"):
         write_lam(tmp_path / "a.zip", LamAvatar(_avatar(count=9).mesh, make_cloud(10)))

@@ -99,3 +99,9 @@ def test_many_points_are_projected_like_each_of_them(orthographic):
     local, pixels = camera.project(points)
     np.testing.assert_allclose(pixels, [project(camera, tuple(point)) for point in points])
     np.testing.assert_allclose(local, (np.c_[points, [1, 1]] @ camera.world_to_camera.T)[:, :3])
+
+
+def test_an_orbit_needs_finite_angles():
+    for angles in ({"yaw": float("inf")}, {"pitch": float("nan")}):
+        with pytest.raises(ShapeError, match="finite numbers of degrees"):
+            Camera.orbit(64, 64, **angles)

@@ -11,7 +11,7 @@ from grmm_core.hair import HairSettings, groom_names, join, library_groom
 from grmm_core.hair.compact import MAX_BYTES, compact_parts, restored_parts
 from grmm_core.hair.lashes import Lashes
 from grmm_core.hair.roots import BEARD, BROWS, GROUPS, LASHES, SCALP
-from grmm_core.hair.settings import DARKER
+from grmm_core.hair.settings import DARKER, FACE_SHEEN
 from grmm_core.head import load_open_head
 
 
@@ -103,5 +103,5 @@ def test_a_file_keeps_parts_with_their_own_points():
 def test_parts_take_the_pigments_of_the_hair():
     blond = HairSettings(melanin=0.1, grey=0.5, length=0.4)
     assert blond.for_part(SCALP) is blond
-    assert blond.for_part(BROWS) == HairSettings(melanin=0.1 + DARKER, grey=0.5)
+    assert blond.for_part(BROWS) == HairSettings(melanin=0.1 + DARKER, grey=0.5, sheen=FACE_SHEEN)
     assert blond.for_part(LASHES).melanin > 0.8

@@ -341,3 +341,17 @@ def test_what_is_moved_nearer_to_an_eye_is_seen_where_it_was():
         before, after = (camera.project(each) for each in (points, nearer(made, Eye.of(camera), 0.01).means))
         np.testing.assert_allclose(after[1], before[1], atol=1e-3)
         assert (before[0][:, 2] - after[0][:, 2] > 0.009).all()
+
+
+def test_black_brows_are_darker_than_dark_skin(session):
+    near = Camera.orbit(200, 200, 0, fov=7, target=(0.0, 0.03, 0.05))
+    info, options = session.sample(5), RenderOptions(passes=("rgb", "hair"))
+    black = HairSettings(melanin=1.0)
+    worn, bare = (
+        session.render([Instance(info.id, hair=HairUse("none", black, brows=brows, beard="none"))], near, options)
+        for brows in ("bushy", "none")
+    )
+    brow = worn["hair"][..., 0] > 0.7
+    assert brow.sum() > 100
+    assert bare["rgb"][brow].mean() < 0.5
+    assert worn["rgb"][brow].mean() < 0.63 * bare["rgb"][brow].mean()

@@ -168,7 +168,8 @@ class Instance:
         scale = float(np.cbrt(np.linalg.det(linear)))
         if scale < 1e-6 or np.abs(linear @ linear.T - scale**2 * np.eye(3)).max() > 1e-3 * scale**2:
             raise ShapeError(
-                "An avatar's placement must be a rotation, a translation and one uniform positive scale; apply its scale."
+                "An avatar's placement must be a rotation, a translation and one uniform positive scale; give it, and what it "
+                "hangs on, the same scale above 0 in x, y and z."
             )
         matrix.flags.writeable = False
         object.__setattr__(self, "model_to_world", matrix)

@@ -51,7 +51,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(argv: Sequence[str] | None) -> int:
-    """As `main`, but for `BrokenPipeError`, which help and lists raise as well."""
+    """As `main`, but for a closed pipe, which help and lists meet as well, and for Ctrl-C while commands are loaded."""
     parser, modules = build_parser()
     try:
         args = parser.parse_args(argv)

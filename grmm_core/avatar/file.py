@@ -129,7 +129,14 @@ def read_avatar_header(path: str | os.PathLike[str]) -> AvatarHeader:
         FileAccessError: Missing or unreadable.
         FileFormatError: Not an avatar, damaged, or made by a newer version.
     """
-    return _parse_header(Path(path), read_metadata(path))
+    path = Path(path)
+    try:
+        metadata = read_metadata(path)
+    except FileFormatError as error:
+        if path.suffix.lower() != EXTENSION:  # a photo or splats: nothing about them is damaged
+            raise FileFormatError(f"{path} is no avatar; choose a {EXTENSION} file.") from error
+        raise
+    return _parse_header(path, metadata)
 
 
 def load_avatar(path: str | os.PathLike[str]) -> Avatar:

@@ -17,6 +17,7 @@ from ..files.format import Format, OptionsOf, options_of_formats
 from ..fitting.request import DEVICES
 from ..hair import SETTINGS, HairSettings, groom_names
 from ..hair.roots import GROUPS, SCALP
+from ..hair.settings import Setting
 from ..jobs.cluster import Cluster, open_cluster
 from ..session.values import AvatarInfo
 from ..session.wearing import GROOM_PREFIX, NO_HAIR, OWN_HAIR, PARTS, RANDOM_PREFIX, HairUse
@@ -98,19 +99,25 @@ def add_hair(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
+def chooses_hair(args: argparse.Namespace) -> bool:
+    """Whether an option of `add_hair` is given."""
+    return bool(args.hair_set) or any(one != OWN_HAIR for one in (args.hair, args.brows, args.beard, args.lashes))
+
+
 def hair_of(args: argparse.Namespace, avatar: AvatarInfo) -> HairUse:
     """Return the hair that --hair, --hair-set and so on ask for; what they do not say is as the avatar has it.
 
     Another style takes the person's color over, as in Blender's panel.
 
     Raises:
-        ControlError: There is no such part or setting.
+        ControlError: There is no such part or setting, or the value is out of its range.
     """
     values: dict[str, dict[str, float]] = {}
     for name, value in parse_assignments(args.hair_set).items():
         part, _, setting = name.rpartition(".")
         if part and part not in PARTS:
             raise ControlError(f"Hair has no part {part!r} with settings of its own; it has {', '.join(PARTS)}.")
+        _check_range(name, value, next((row for row in SETTINGS if row.name == setting), None))
         values.setdefault(part, {})[setting] = value
     main = values.pop("", {})
     own = avatar.hair or HairSettings()
@@ -123,6 +130,12 @@ def hair_of(args: argparse.Namespace, avatar: AvatarInfo) -> HairUse:
     groom = args.hair if named else GROOM_PREFIX + args.hair.removeprefix(GROOM_PREFIX)
     worn = None if groom == OWN_HAIR and not main else settings
     return HairUse(groom, worn, brows=args.brows, beard=args.beard, lashes=args.lashes, parts=parts)
+
+
+def _check_range(name: str, value: float, row: Setting | None) -> None:
+    """Refuse a value that would be taken for another one. An unknown setting is refused later, by its name."""
+    if row is not None and not row.low <= value <= row.high:
+        raise ControlError(f"Hair's {name} is {value:g}; it goes from {row.low:g} to {row.high:g}.")
 
 
 def add_events(parser: argparse.ArgumentParser) -> None:

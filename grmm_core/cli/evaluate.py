@@ -87,8 +87,6 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     """Evaluate, write the files, and return the figures without those of single views."""
     from ..data.readers import is_dataset
 
-    if args.output is not None:
-        make_folder(args.output)
     if args.cluster:
         make_absolute(args, "weights", "data", "head", "output", "ablation", "lpips", "fid", "identity")
     stages = EVALUATION.only(_protocols(args.protocol))
@@ -97,6 +95,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         if MONOCULAR in args.protocol and not any(is_dataset(folder) for folder in args.data):
             return _photos(args, cluster)
         evaluation = _open(args)
+        if args.output is not None:
+            make_folder(args.output)
         facts, summaries = _facts(args, evaluation.scene, evaluation.ablation), {}
         for name, found in _measured(evaluation, args, stages, cluster):
             if "skipped" in found:  # the data holds no views for it

@@ -41,6 +41,7 @@ from .common import (
     add_model,
     add_output,
     check_folder,
+    chooses_hair,
     controls_of,
     hair_of,
     options_of,
@@ -86,6 +87,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     if args.performance is None and path.suffix.lower() in _PERFORMANCE_ONLY:
         raise ConfigError(f"{path} would hold a performance; name one with --performance.")
     target = format_to_write(path, "mesh" if args.mesh else _PLAYED if args.performance else _STILL)
+    _check_options(target, args)
     if not target.folder:
         check_folder(path)
     controls, played = controls_of(args), performance_of(args)
@@ -110,6 +112,14 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
                 counts = {"gaussians": content.count}
     facts = {"avatar": avatar.name, **counts}
     return _finish(args, [path], facts, target.write(path, content, **options_of(args, target, "writing")))
+
+
+def _check_options(target: Format, args: argparse.Namespace) -> None:
+    """Refuse what the file could not hold. Raises `ConfigError`."""
+    if target.holds == "mesh" and chooses_hair(args):
+        raise ConfigError(f"{target.label} files hold no strands; leave the hair's options out, or write splats.")
+    if target.holds == "performance" and (args.assignments or chooses_hair(args)):
+        raise ConfigError(f"{args.output} holds the movement alone; leave --set and the hair's options out.")
 
 
 def _finish(args: argparse.Namespace, files: list[Path], facts: dict[str, Any], warnings: tuple[str, ...]) -> dict[str, Any]:

@@ -13,12 +13,15 @@ from typing import Any
 from .. import __version__
 from ..avatar import EXTENSION, AvatarHeader, load_avatar, read_avatar_header
 from ..avatar.library import DEFAULT_NAME, LIBRARY_PREFIX, library_file, library_names, library_path
-from ..errors import ConfigError, GrmmError
+from ..errors import ConfigError, FileAccessError, GrmmError
+from ..files.npz import read_npz
 from ..files.tensorfile import read_metadata
 from ..formats import Format, format_to_read, formats, suffixes
 from ..formats.performances.flame_npz import is_track
 from ..head import FLAME_SUFFIXES
 from ..head.flame import describe_flame
+from ..head.flame_file import is_flame_npz
+from ..session.sources import SAMPLE_PREFIX
 from .common import add_format_options, options_of
 
 LIBRARIES = ("numpy", "torch", "numba", "onnxruntime", "pillow", "bpy", "gsplat")
@@ -48,7 +51,12 @@ def _file_of(given: Path) -> Path:
     """The file that an argument names; a file called "default" is meant where there is one."""
     if str(given) == DEFAULT_NAME and not given.exists():
         return library_path(DEFAULT_NAME)
-    return library_file(str(given)) or given
+    if given.name.startswith(SAMPLE_PREFIX) and not given.exists():
+        raise ConfigError(f"{given} is a person without a file; write one with grmm sample.")
+    found = library_file(str(given)) or given
+    if not found.exists():
+        raise FileAccessError(f"{given} does not exist; check the file name, or see the library's with grmm info.")
+    return found
 
 
 def installation() -> dict[str, Any]:
@@ -90,7 +98,7 @@ def describe_file(path: Path, options: argparse.Namespace | None = None) -> dict
     if path.suffix == ".safetensors":
         return describe_asset(path, strict=True)
     if path.suffix.lower() in FLAME_SUFFIXES and not is_track(path):
-        return describe_flame(path)
+        return describe_flame(path) if path.suffix.lower() != ".npz" or is_flame_npz(path) else _describe_arrays(path)
     if path.suffix != EXTENSION:
         return _describe_foreign(path, options)
     header = read_avatar_header(path)
@@ -117,6 +125,13 @@ def _describe_foreign(path: Path, options: argparse.Namespace | None) -> dict[st
     content = found.read(path, **(options_of(options, found, "reading") if options and found.holds == "performance" else {}))
     warnings = getattr(content, "warnings", None) or getattr(getattr(content, "cloud", None), "warnings", [])
     return {"file": str(path), "kind": found.label, **content.summary(), "warnings": warnings}
+
+
+def _describe_arrays(path: Path) -> dict[str, Any]:
+    """Name the arrays of an .npz, such as `grmm export` and `grmm render` write."""
+    arrays, _ = read_npz(path)
+    shapes = {name: f"{array.dtype} [{', '.join(map(str, array.shape))}]" for name, array in arrays.items()}
+    return {"file": str(path), "kind": "arrays", "arrays": shapes}
 
 
 def describe_asset(path: Path, strict: bool = False) -> dict[str, Any]:

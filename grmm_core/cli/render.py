@@ -4,15 +4,18 @@ With --performance, #### in the name is where a frame's number goes. The main fi
 (scene-linear, premultiplied, every pass as named channels) or an .npz with the raw arrays. Beside a PNG called ``out.png``,
 each further pass of ``--passes`` is a file of its own:
 
-=============  ===========================================================================
-out.alpha.png  coverage, 16-bit grey
-out.depth.npy  camera depth in metres, float32 [H, W]; 1e10 where nothing is
-out.raw.png    before the refinement network, straight alpha
-out.normal.png world-space normals as 0.5 + 0.5 n, 16-bit
-out.mask.png   coverage of the avatar, 16-bit grey
-out.hair.png   coverage of its strands, 16-bit grey
+================  ========================================================================
+out.alpha.png     coverage, 16-bit grey
+out.depth.npy     camera depth in metres, float32 [H, W]; 1e10 where nothing is
+out.raw.png       before the refinement network, straight alpha
+out.normal.png    world-space normals as 0.5 + 0.5 n, 16-bit
+out.mask.png      coverage of the avatar, 16-bit grey
+out.hair.png      coverage of its strands, 16-bit grey
 out.features.npy  feature channels, float32 [H, W, F], premultiplied
-=============  ===========================================================================
+out.diffuse.npy   light from inside the skin, float32 [H, W, 3], linear, premultiplied
+out.specular.npy  light off its surface, likewise; both add up to the picture
+out.shadow.png    share of the lamps' light that reaches it, 16-bit grey
+================  ========================================================================
 """
 
 from __future__ import annotations
@@ -57,6 +60,7 @@ from .common import add_avatar, add_controls, add_hair, add_model, add_output, c
 from .playing import add_playing, performance_of, playable, together
 
 SUFFIXES = (".png", ".exr", ".npz")
+_AS_NUMBERS = ("depth", "features", "diffuse", "specular")  # passes that no PNG holds: beyond 0..1
 
 
 def add_parser(subparsers: Any) -> None:
@@ -218,8 +222,8 @@ def write_buffers(path: Path, buffers: dict[str, np.ndarray], passes: tuple[str,
         if name == "rgb":
             continue
         buffer = buffers[name]
-        file = path.with_suffix(f".{name}.npy" if name in ("depth", "features") else f".{name}.png")
-        if name in ("depth", "features"):
+        file = path.with_suffix(f".{name}.npy" if name in _AS_NUMBERS else f".{name}.png")
+        if name in _AS_NUMBERS:
             stream = io.BytesIO()
             np.save(stream, buffer[..., 0] if name == "depth" else buffer, allow_pickle=False)
             atomic_write_bytes(file, stream.getvalue())
@@ -249,6 +253,8 @@ def _exr_channels(buffers: dict[str, np.ndarray], alpha: np.ndarray, opaque: boo
             channels["depth.Z"] = buffer[..., 0]
         elif name == "normal":
             channels |= {f"normal.{axis}": buffer[..., i] for i, axis in enumerate("XYZ")}
+        elif name in ("diffuse", "specular"):
+            channels |= {f"{name}.{letter}": buffer[..., i] for i, letter in enumerate("RGB")}
         elif name == "alpha":
             channels["alpha.A"] = buffer[..., 0]
         else:
@@ -276,4 +282,6 @@ def _color(text: str) -> tuple[float, float, float]:
         red, green, blue = (float(part) for part in text.split(","))
     except ValueError as error:
         raise argparse.ArgumentTypeError(f"{text!r} is not a color; write for example 1,1,1") from error
+    if not all(0.0 <= value <= 1.0 for value in (red, green, blue)):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a color of numbers from 0 to 1; write for example 1,1,1")
     return red, green, blue

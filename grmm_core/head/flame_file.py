@@ -96,6 +96,11 @@ def read_fields(path: Path) -> Mapping[Any, Any]:
     return fields
 
 
+def is_flame_npz(path: Path) -> bool:
+    """Whether an npz is meant as a FLAME model, by the names of its arrays. Raises as `read_npz`."""
+    return "v_template" in read_npz(path, ())[1]
+
+
 def _validate(fields: Mapping[Any, Any], label: str) -> FlameArrays:
     v_template = _array(fields, "v_template", label, (FLAME_VERTICES, 3))
     faces = _array(fields, "f", label, (FLAME_FACES, 3))

@@ -15,6 +15,7 @@ Angles in degrees: yaw 0 is in front of the face, 90 at the person's left; pitch
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -27,6 +28,7 @@ from .surroundings import Surroundings
 STUDIO_WORD, PHOTO_WORD = "studio", "photo"
 FORMS = "studio, photo, sun:YAW,PITCH,STRENGTH, lamp:YAW,PITCH,WATTS, world:STRENGTH or env:FILE.exr"
 LAMP_DISTANCE, LAMP_SIDE = 1.5, 0.5  # metres
+_ENVIRONMENT = re.compile(r"(.*?\.exr)(?:,([^,]*))?(?:,([^,]*))?", re.IGNORECASE)  # commas before the ending are the name's own
 _NUMBERS = {"sun": 3, "lamp": 3, "world": 1}
 
 
@@ -53,6 +55,8 @@ def lighting_of(words: Sequence[str]) -> Lighting | None:
                 lamps.append(Sun(color, numbers[2], True, direction(numbers[0], numbers[1])))
             else:
                 lamps.append(soft_box(numbers[0], numbers[1], LAMP_DISTANCE, LAMP_SIDE, numbers[2], color))
+        elif word == STUDIO_WORD or kind == PHOTO_WORD:
+            raise ConfigError(f"--light {word} stands alone; leave the others out.")
         else:
             raise ConfigError(f"--light {word} is not understood; use {FORMS}.")
     if len(surroundings) > 1:
@@ -80,13 +84,14 @@ def _numbers(word: str, rest: str, count: int) -> tuple[list[float], Vector]:
 def _picture(rest: str) -> Surroundings:
     from ..pictures.images import read_exr_rgb
 
-    name, _, numbers = rest.partition(",")
-    first, _, second = numbers.partition(",")
+    found = _ENVIRONMENT.fullmatch(rest)
     try:
-        strength, turn = float(first or 1.0), float(second or 0.0)
+        if found is None:
+            raise ValueError(rest)
+        strength, turn = float(found[2] or 1.0), float(found[3] or 0.0)
     except ValueError as error:
         raise ConfigError(f"--light env:{rest} is not understood; use env:FILE.exr,STRENGTH,ROTATION.") from error
-    around = Surroundings.of_picture(read_exr_rgb(Path(name)))
+    around = Surroundings.of_picture(read_exr_rgb(Path(found[1])))
     angle = math.radians(turn)
     rotation = np.array([[math.cos(angle), 0, math.sin(angle)], [0, 1, 0], [-math.sin(angle), 0, math.cos(angle)]])
     return around.turned(rotation).scaled(strength)

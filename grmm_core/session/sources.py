@@ -11,7 +11,8 @@ from ..avatar.library import LIBRARY_PREFIX, library_path
 from ..files.access import open_file
 
 DEFAULT_SOURCE = "default"
-_SAMPLE = re.compile(r"sample:(-?[0-9]{1,18})")
+SAMPLE_PREFIX = "sample:"
+_SAMPLE = re.compile(SAMPLE_PREFIX + r"(-?[0-9]{1,18})")
 
 
 @dataclass(frozen=True)

@@ -59,12 +59,15 @@ def test_exported_meshes_follow_the_controls(export, tmp_path):
     assert json.loads(out)["morphs"] == 52
 
 
-def test_exported_arrays_are_complete(export, tmp_path):
+def test_exported_arrays_are_complete(grmm, export, tmp_path):
     assert export("-o", tmp_path / "x.npz", "--sh-degree", "2")[0] == 0
     arrays = np.load(tmp_path / "x.npz")
     assert arrays["sh"].shape == (len(arrays["means"]), 9, 3)
     assert arrays["vertices"].shape == arrays["displacement"].shape
     assert arrays["faces"].max() == len(arrays["vertices"]) - 1
+    code, out, _ = grmm("info", tmp_path / "x.npz", "--json")
+    facts = json.loads(out)
+    assert (code, facts["kind"], facts["arrays"]["vertices"]) == (0, "arrays", f"float32 {list(arrays['vertices'].shape)}")
     code, _, err = export("-o", tmp_path / "x.fbx")
     assert code == 1
     assert "cannot be written as '.fbx'" in err
@@ -118,6 +121,14 @@ def test_a_recording_becomes_a_file_for_each_frame(export, recording, tmp_path, 
     assert len({file.read_bytes() for file in files}) == 3
     code, out, _ = export("-o", tmp_path / name, "--performance", recording, "--lod", "2", "--json", "--fps", "120", *options)
     assert json.loads(out)["frames"] == 5
+
+
+def test_a_recording_alone_takes_no_options_of_a_head(export, recording, tmp_path):
+    for options in (("--set", "jawOpen=1"), ("--hair", "long")):
+        code, _, err = export("-o", tmp_path / "x.json", "--performance", recording, *options)
+        assert code == 1
+        assert "holds the movement alone" in err
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_recordings_are_converted_and_each_axis_of_the_head_can_be_flipped(grmm, recording, tmp_path):

@@ -17,6 +17,7 @@ from grmm_core.fitting.photo_light import SUNS
 from grmm_core.fitting.result import LIGHT
 from grmm_core.model.people import default_avatar
 from grmm_core.model.weights_file import read_weights
+from grmm_core.pictures.color import scene_linear_premultiplied
 from grmm_core.session import EMPTY_DEPTH, create_session
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -71,6 +72,24 @@ def test_render_writes_every_pass(render, tmp_path):
     header = (tmp_path / "x.normal.png").read_bytes()[16:26]
     assert struct.unpack(">IIBB", header) == (48, 48, 16, 2)
     assert read_png(tmp_path / "x.raw.png").shape == (48, 48, 4)
+
+
+def test_passes_of_light_add_up_to_the_picture(render, tmp_path):
+    """In the files beside a PNG, which had the red channel of both alone, and in an OpenEXR by the names of color."""
+    common = ("default", "--size", "48", "--light", "lamp:40,20,60", "--no-refine", "--passes", "diffuse,specular,shadow")
+    assert render(*common, "-o", tmp_path / "x.npz")[0] == 0
+    assert render(*common, "-o", tmp_path / "x.png")[0] == 0
+    assert render(*common, "-o", tmp_path / "x.exr")[0] == 0
+    arrays = np.load(tmp_path / "x.npz")
+    parts = [np.load(tmp_path / f"x.{name}.npy") for name in ("diffuse", "specular")]
+    for part, name in zip(parts, ("diffuse", "specular"), strict=True):
+        np.testing.assert_array_equal(part, arrays[name])
+    seen = arrays["alpha"][..., 0] > 0.99
+    whole = scene_linear_premultiplied(arrays["rgb"], arrays["alpha"])[..., :3]
+    np.testing.assert_allclose(np.minimum(sum(parts), 1.0)[seen], whole[seen], atol=0.02)
+    assert read_png(tmp_path / "x.shadow.png").max() > 60_000  # 16 bits
+    channels = (tmp_path / "x.exr").read_bytes()[:600]
+    assert all(f"{name}.{letter}\0".encode() in channels for name in ("diffuse", "specular") for letter in "RGB")
 
 
 def test_what_is_not_said_of_hair_is_the_persons_own():

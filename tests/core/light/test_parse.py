@@ -55,6 +55,9 @@ def test_a_picture_of_surroundings_is_read_scaled_and_turned(sky):
     assert red(f"env:{path}", left) > 3 * red(f"env:{path}", right)
     assert red(f"env:{path},2", left) == pytest.approx(2 * red(f"env:{path}", left), rel=1e-4)
     assert red(f"env:{path},1,180", right) == pytest.approx(red(f"env:{path}", left), rel=0.02)
+    commas = path.with_name("sky, noon,3.exr")
+    commas.write_bytes(path.read_bytes())
+    assert red(f"env:{commas},2", left) == red(f"env:{path},2", left)
 
 
 @pytest.mark.parametrize(
@@ -66,7 +69,9 @@ def test_a_picture_of_surroundings_is_read_scaled_and_turned(sky):
         (["lamp:0,0,-5"], "^An area light .*below zero"),
         (["sun:0,0,nan"], "^A sun light .*not finite"),
         (["world:1", "world:2"], "Only one surrounding"),
-        (["studio", "sun:0,0,1"], "not understood"),
+        (["studio", "sun:0,0,1"], "stands alone"),
+        (["sun:0,0,1", "photo:2"], "stands alone"),
+        (["env:sky.png"], "not understood"),
         (["env:a.exr,x"], "not understood"),
     ],
 )

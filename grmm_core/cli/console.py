@@ -8,13 +8,12 @@ as it comes, and at the end the result or the error.
 from __future__ import annotations
 
 import json
+import math
 import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, TextIO
-
-import numpy as np
 
 from ..jobs.progress import Progress, ProgressCallback
 from ..jobs.stages import JobStages
@@ -126,6 +125,8 @@ class _Bar:
 
 def plain(value: Any) -> Any:
     """Return a JSON value; NaN and infinity, which JSON lacks, become null."""
+    import numpy as np  # its library of matrix products reads settings of the command when it is loaded
+
     if isinstance(value, Mapping):
         return {str(name): plain(item) for name, item in value.items()}
     if isinstance(value, np.ndarray):
@@ -134,7 +135,7 @@ def plain(value: Any) -> Any:
         return [plain(item) for item in value]
     if isinstance(value, np.generic):
         return plain(value.item())
-    if isinstance(value, float) and not np.isfinite(value):
+    if isinstance(value, float) and not math.isfinite(value):
         return None
     if value is None or isinstance(value, (bool, int, float, str)):
         return value

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import os
 from pathlib import Path
 from typing import Any
 
@@ -58,10 +57,6 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> dict[str, Any] | int:
     """Fit, and write the file. Raises `GrmmError`s."""
-    # Threads of torch that wait for one another spin by default. Where another program has a core, each of the thousands of
-    # short operations of a fit then waits for a thread that is not running: the same work took 18 times as long on two threads
-    # as on one. Read by the library when torch is loaded, so it must be set before.
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     folder = len(args.photos) == 1 and args.photos[0].is_dir()
     if args.cluster and not folder:
         raise ConfigError("A cluster is for a folder of people; name one, or leave out --cluster.")

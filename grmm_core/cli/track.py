@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import time
 from pathlib import Path
 from typing import Any
@@ -33,7 +32,6 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
     """Track, and write the file. Raises `GrmmError`s."""
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # as in a fit: short operations wait for threads that do not run
     request = TrackRequest.from_arguments(args)
     begin = time.monotonic()
     with StopOnSignal() as stop, args.console.progress(TRACK) as show:

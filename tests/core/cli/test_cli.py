@@ -233,6 +233,20 @@ def test_a_package_that_is_missing_is_named(grmm, monkeypatch):
     assert err == f"grmm: The Python {sys.executable} lacks the package numba; install it there.\n"
 
 
+def test_libraries_find_how_their_threads_shall_wait():
+    """Numpy and torch read it when they are loaded, so the command sets it before."""
+    program = (
+        "import os, sys; import grmm_core.cli; assert not {'numpy', 'torch'} & set(sys.modules);"
+        "grmm_core.cli.main(['--version']);"
+        "print(os.environ['OMP_WAIT_POLICY'], os.environ['OPENBLAS_NUM_THREADS'])"
+    )
+    names = ("OMP_WAIT_POLICY", "OPENBLAS_NUM_THREADS")
+    bare = {name: value for name, value in os.environ.items() if name not in names}
+    for environment, said in ((bare, "PASSIVE 1"), ({**bare, "OPENBLAS_NUM_THREADS": "4"}, "PASSIVE 4")):
+        done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, timeout=60)
+        assert done.stdout.splitlines()[-1:] == [said], done.stderr
+
+
 def test_json_has_no_nan():
     out = io.StringIO()
     Console(True, stdout=out).result({"a": float("nan"), "b": np.float32(2.0), "c": np.arange(2), "d": Path("x")})

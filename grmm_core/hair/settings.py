@@ -15,9 +15,10 @@ from ..errors import ControlError
 from .roots import LASHES, SCALP
 
 PIGMENTS = ("melanin", "redness", "grey", "dye", "dye_red", "dye_green", "dye_blue")
-LASH_MELANIN = 0.85  # lashes are dark, also those of fair people
+LASH_MELANIN = 0.9  # lashes are dark, also those of fair people
+LASH_THICKNESS = 1.7  # the studio's are half as many as people have, and pale rims of lids show through them
 DARKER = 0.15  # melanin that brows and beards have more: their hairs are coarser, and none shades another
-FACE_SHEEN = 0.3  # of brows and beards: with scalp hair's black ones are grey on dark skin, and none is brown
+FACE_SHEEN = 0.3  # of hair of the face: with scalp hair's black brows are grey on dark skin, and none is brown
 
 
 def _setting(default: float, low: float, high: float, text: str) -> Any:
@@ -64,15 +65,13 @@ class HairSettings:
         return replace(self, **values)
 
     def for_part(self, group: int) -> HairSettings:
-        """What brows, beard or lashes start from beside scalp hair: its pigments, darker, with less sheen; lashes black."""
+        """What brows, beard or lashes start from beside scalp hair: its pigments, darker, less sheen; lashes black, thick."""
         if group == SCALP:
             return self
-        pigments = dict(zip(PIGMENTS, self.color_key, strict=True))
+        own = HairSettings(**dict(zip(PIGMENTS, self.color_key, strict=True)), sheen=FACE_SHEEN)
         if group == LASHES:
-            pigments.update(melanin=max(self.melanin, LASH_MELANIN), grey=0.0, dye=0.0)
-        else:
-            pigments.update(melanin=self.melanin + DARKER, sheen=FACE_SHEEN)
-        return HairSettings(**pigments)
+            return replace(own, melanin=max(self.melanin, LASH_MELANIN), grey=0.0, dye=0.0, thickness=LASH_THICKNESS)
+        return replace(own, melanin=self.melanin + DARKER)
 
     def to_json(self) -> dict[str, float]:
         """Plain numbers by name."""

@@ -11,7 +11,7 @@ from grmm_core.hair import HairSettings, groom_names, join, library_groom
 from grmm_core.hair.compact import MAX_BYTES, compact_parts, restored_parts
 from grmm_core.hair.lashes import Lashes
 from grmm_core.hair.roots import BEARD, BROWS, GROUPS, LASHES, SCALP
-from grmm_core.hair.settings import DARKER, FACE_SHEEN
+from grmm_core.hair.settings import DARKER, FACE_SHEEN, LASH_MELANIN, LASH_THICKNESS
 from grmm_core.head import load_open_head
 
 
@@ -104,4 +104,5 @@ def test_parts_take_the_pigments_of_the_hair():
     blond = HairSettings(melanin=0.1, grey=0.5, length=0.4)
     assert blond.for_part(SCALP) is blond
     assert blond.for_part(BROWS) == HairSettings(melanin=0.1 + DARKER, grey=0.5, sheen=FACE_SHEEN)
-    assert blond.for_part(LASHES).melanin > 0.8
+    assert blond.for_part(LASHES) == HairSettings(melanin=LASH_MELANIN, sheen=FACE_SHEEN, thickness=LASH_THICKNESS)
+    assert HairSettings(melanin=1.0).for_part(LASHES).melanin == 1.0

@@ -122,7 +122,7 @@ class Session(Protocol):
             hair: What the avatar wears.
 
         Returns:
-            Metres; colors as seen along the view direction, not refined.
+            Metres; colors as seen along the view direction, not refined, and where one is given without the inside of the bust.
         """
         ...
 

@@ -36,6 +36,7 @@ from .api import CancelCheck
 from .clouds import OpenCloud
 from .evaluator import Evaluator, Inputs, OpenAvatar, at_rest
 from .furrowed import furrows_of, with_furrows
+from .hollow import without_inside
 from .lit import HIGHLIGHTS, LIGHT_CHANNELS, RATIO, SHADOW, UNLIT, LitAvatar
 from .mutual_shadows import mutual_shadows
 from .passes import Channels, buffers, empty, light_of
@@ -247,6 +248,8 @@ def _gaussians(
                 evaluator, item.target, item.inputs, item.worn, local_camera, options.lod, options.strands, hiding=hiding
             )
         own = evaluator.gaussians(item.target, item.inputs, direction, options.lod, cap, lit)
+        hidden_from = functools.partial(wardrobe.hiding, evaluator, item.target, item.inputs)
+        own = without_inside(own, evaluator, item.target, item.inputs, options.lod, local_camera, hidden_from)
     count = len(own)
     features = own.features
     if item.model is not None and item.model.config.antialias:

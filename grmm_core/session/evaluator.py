@@ -44,6 +44,7 @@ from .engines import Engine
 from .sources import SourceKey
 
 Inputs = ModelInputs[np.ndarray]
+FRONT = np.array([0.0, 0.0, 1.0])  # towards a camera in front of the face, head space
 _SPARE_ROWS = 4096  # of zeros, by which the channels of skin and strands grow
 
 

@@ -32,13 +32,13 @@ from ..light.surroundings import coefficients_of, mean_irradiance
 from ..light.texel_shadows import TexelShadows
 from ..light.transfer import vertex_normals
 from ..splat.types import Gaussians
+from .evaluator import FRONT as FROM_FRONT
 from .evaluator import Evaluator, Inputs, OpenAvatar, at_rest
 from .shading_hair import Hair
 
 RATIO, HIGHLIGHTS, FRONT, SHADOW = slice(0, 3), slice(3, 6), 6, slice(7, 8)  # of `shading.relative`
 LIGHT_CHANNELS = 8
 UNLIT = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0], np.float32)  # what changes nothing
-FROM_FRONT = np.array([0.0, 0.0, 1.0])  # direction, head space
 _VIEWS, _VIEW_DISTANCE = 16.0, 1.1  # steps of a direction's coordinates; metres
 _AROUND = 0.08  # metres around a head at rest within which the rig's light in hair is known
 _BOWL = 0.5  # of light from all around that reaches the inner side of an open bust

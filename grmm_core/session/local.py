@@ -36,7 +36,7 @@ from .compose import Gathered, PlacedAvatar, PlacedCloud, draw, gather
 from .engines import Engine
 from .evaluator import Evaluator, Inputs, OpenAvatar
 from .holding import held
-from .opened import FRONT, OpenAvatars
+from .opened import OpenAvatars
 from .painter import painted
 from .sources import SourceKey, source_key
 from .values import MAX_LOD, AvatarInfo, CloudArrays, Deformation, Instance, RenderOptions, SessionStatus, check_render_size
@@ -170,11 +170,11 @@ class LocalSession:
         target = self.target(avatar_id)
         if not 0 <= lod <= MAX_LOD:
             raise ShapeError(f"The level of detail is {lod}; it must be 0 to {MAX_LOD}.")
-        direction = np.asarray(FRONT if view_direction is None else view_direction, np.float64)
-        if direction.shape != (3,) or not abs(np.linalg.norm(direction) - 1.0) < _UNIT_TOLERANCE:
+        view = None if view_direction is None else np.asarray(view_direction, np.float64)
+        if view is not None and (view.shape != (3,) or not abs(np.linalg.norm(view) - 1.0) < _UNIT_TOLERANCE):
             raise ShapeError("The view direction must be a unit vector of three numbers.")
         inputs = self.evaluator.inputs(target, controls)
-        found = self._wardrobe.dressed(self.evaluator, target, inputs, self._wardrobe.worn(target, hair), direction, lod)
+        found = self._wardrobe.dressed(self.evaluator, target, inputs, self._wardrobe.worn(target, hair), view, lod)
         extra = present(found.features)[:, : None if features else 0]
         return GaussianArrays(*map(to_numpy, (found.means, found.quats, found.scales, found.opacities, found.colors, extra)))
 

@@ -9,8 +9,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-import numpy as np
-
 from ..avatar import Avatar, load_avatar
 from ..avatar.library import DEFAULT_NAME, library_path
 from ..controls.frame import Controls
@@ -20,12 +18,11 @@ from ..hair.packaged import HEAD
 from ..model.people import default_avatar, sampled_avatar
 from .carrying import can_carry, in_its_colors, without_changes
 from .engines import Engine
-from .evaluator import Evaluator, OpenAvatar
+from .evaluator import FRONT, Evaluator, OpenAvatar
 from .sources import SourceKey, source_key
 from .values import AvatarInfo
 from .wardrobe import READY, random_hair
 
-FRONT = np.array([0.0, 0.0, 1.0])  # towards a camera in front of the face, head space
 _NOBODY = 0  # no avatar has this number
 
 _log = logging.getLogger(__name__)

@@ -7,6 +7,7 @@ Grooms are made ready once (`hair.strands`), posed once for each mesh, and turne
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from typing import TypeVar
@@ -35,7 +36,8 @@ from ..head import HeadModel
 from ..splat.types import Gaussians
 from .cap import Cap
 from .engines import Engine
-from .evaluator import Evaluator, Inputs, OpenAvatar, at_rest
+from .evaluator import FRONT, Evaluator, Inputs, OpenAvatar, at_rest
+from .hollow import from_far, without_inside
 from .photo_skin import as_found, still_there
 from .scalp import Covered, Skin, bare_skin, cap_color, covered, shade, shadow
 from .wearing import GROOM_PREFIX, NO_HAIR, OWN_HAIR, PARTS, PUT_PREFIX, RANDOM_PREFIX, USUAL, HairUse
@@ -280,11 +282,18 @@ class Wardrobe:
         return Hiding.of(to_numpy(evaluator.mesh(target, inputs).vertices), skin, camera)
 
     def dressed(
-        self, evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, worn: Worn | None, direction: np.ndarray, lod: int
+        self, evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, worn: Worn | None, view: np.ndarray | None, lod: int
     ) -> Gaussians:
-        """All Gaussians for a view direction in head space, those of strands last and without features."""
+        """All Gaussians as seen from a direction in head space, those of strands last and without features.
+
+        From None they have the colors of the front, and none is left out, as other programs look at them from everywhere.
+        """
+        direction = FRONT if view is None else view
         cap = None if worn is None else self.cap(evaluator, target, inputs, worn)
         own = evaluator.gaussians(target, inputs, direction, lod, cap)
+        if view is not None:
+            hidden_from = functools.partial(self.hiding, evaluator, target, inputs)
+            own = without_inside(own, evaluator, target, inputs, lod, from_far(view), hidden_from)
         strands = None if worn is None else self.gaussians(evaluator, target, inputs, worn, None, lod, direction=direction)
         if strands is None or own.features is None:
             return own

@@ -13,11 +13,13 @@ from ...grmm_core.avatar import AssetReference
 from ...grmm_core.errors import GrmmError
 from ...grmm_core.head import HeadModel
 from ..rig.actions import action_fcurves
-from ..rig.armature import CONSTRAINT_NAME, EXTRA, REST_AXES
+from ..rig.armature import CONSTRAINT_NAME, EXTRA, REST_AXES, ROOT
 from ..rig.avatar import Avatar
 from ..rig.custom_properties import property_path
 from ..rig.identity import load_head
 from ..rig.live import limitation
+
+_TURNED = 1e-3  # radians by which applied rotations count
 
 
 @dataclass(frozen=True)
@@ -89,6 +91,8 @@ def _editing(context: bpy.types.Context, rig: bpy.types.Object) -> Iterator[bpy.
 
 def add_bones(context: bpy.types.Context, rig: bpy.types.Object, feature: str, bones: Sequence[NewBone]) -> None:
     """Add bones at rest to an armature, marked as a feature's, which do not deform. Raises `GrmmError`."""
+    if (rig.data.bones[ROOT].matrix_local.to_3x3().inverted() @ REST_AXES).to_quaternion().angle > _TURNED:
+        raise GrmmError("A rotation was applied to the rig, whose bones are turned; undo Apply to add bones to it.")
     with _editing(context, rig) as edit_bones:
         for new in bones:
             bone = edit_bones.new(new.name)

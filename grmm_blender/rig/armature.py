@@ -76,13 +76,19 @@ def is_head_rig(obj: bpy.types.Object) -> bool:
     return obj.type == "ARMATURE" and {bone.name for bone in obj.data.bones if EXTRA not in bone} <= ours
 
 
-def rest_joints(obj: bpy.types.Object) -> np.ndarray:
-    """Joints that an armature was built with, head axes, metres, [5, 3]; zero where a bone was removed."""
+def rest_joints(obj: bpy.types.Object, place_of_head: Matrix | None = None) -> np.ndarray:
+    """Joints that an armature was built with, head axes, metres, [5, 3]; zero where a bone was removed.
+
+    Args:
+        obj: Armature object.
+        place_of_head: `Avatar.place_in_rig`, for joints in the head's axes whatever was applied; else as the bones are.
+    """
     joints = np.zeros((len(JOINT_NAMES), 3), np.float32)
+    to_head = REST_AXES.inverted().to_4x4() @ (Matrix() if place_of_head is None else place_of_head).inverted_safe()
     for joint, name in enumerate(JOINT_NAMES):
         bone = obj.data.bones.get(name)
         if bone is not None:
-            joints[joint] = REST_AXES.inverted() @ bone.head_local
+            joints[joint] = to_head @ bone.head_local
     return joints
 
 

@@ -73,6 +73,14 @@ class Avatar(ObjectWrapper):
         return None
 
     @property
+    def place_in_rig(self) -> Matrix:
+        """Where the head object is in its armature: at its origin, until *Apply* puts the armature's place into its bones."""
+        obj = self.object
+        if obj.parent is None or obj.parent != self.armature:
+            return Matrix()
+        return obj.matrix_parent_inverse @ obj.matrix_basis
+
+    @property
     def root(self) -> bpy.types.Object:
         """What is moved to move the avatar: the armature, or the head where that was removed."""
         return self.armature or self.object
@@ -137,8 +145,9 @@ class Avatar(ObjectWrapper):
         """
         depsgraph = depsgraph or bpy.context.evaluated_depsgraph_get()
         rig = self._evaluated_armature(depsgraph)
-        placed = self.object.evaluated_get(depsgraph) if rig is None else rig
-        return self._placement(np.array(placed.matrix_world, np.float64), rig)
+        # not the head's own world matrix, which Blender does not keep up to date while the head is hidden
+        placed = self.object.evaluated_get(depsgraph).matrix_world if rig is None else rig.matrix_world @ self.place_in_rig
+        return self._placement(np.array(placed, np.float64), rig)
 
     def instance_to_world(self, matrix_world: Matrix, depsgraph: bpy.types.Depsgraph) -> np.ndarray:
         """Return head space to world for an instance of the head object, [4, 4]: see `scene.walk`."""
@@ -149,7 +158,7 @@ class Avatar(ObjectWrapper):
         root = rig.pose.bones.get(ROOT) if rig is not None else None
         if root is not None and root.parent is not None:
             offset = np.eye(4)
-            offset[:3, 3] = root_offset(root)
+            offset[:3, 3] = root_offset(root) / self.place_in_rig.median_scale
             matrix = matrix @ offset
         return matrix
 

@@ -124,7 +124,7 @@ def change_identity(avatar: Avatar, identity: Identity) -> None:
     mesh.add_materials(obj.data, identity)
     drivers.set_resting_pose(avatar.bones, identity.resting_pose)
     obj.grmm.known_path = known_path(avatar)
-    offset = identity.joints - armature.rest_joints(rig)  # [5, 3]
+    offset = identity.joints - armature.rest_joints(rig, avatar.place_in_rig)  # [5, 3]
     obj.grmm.joint_offset = offset.ravel().tolist()
     for name, size in ((Z_ID, identity.z_id_size), (Z_EXP, identity.z_exp_size)):
         values = obj[name].to_list() if name in obj else []

@@ -214,7 +214,7 @@ def _update_shape(
             state.ahead = positions
     if rig is not None and rig.is_editable:
         shifts = head.joint_dirs[:, :, : shape.size] @ shape + np.reshape(obj.grmm.joint_offset, (-1, 3))  # [5, 3]
-        if shift_joints(rig, shifts, joint_parents(head)):
+        if shift_joints(rig, shifts * avatar.place_in_rig.median_scale, joint_parents(head)):
             rig.update_tag(refresh={"DATA"})
             wrote = True
     return wrote

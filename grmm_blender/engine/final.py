@@ -75,7 +75,7 @@ def _render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> N
     region = render_region(scene.render, width, height)
     if bpy.app.background:  # in a window, F12 saves nothing, and a full disk is reported where it is noticed
         output.check_space(scene, region.width, region.height)
-    items = passes.layer_passes(view_layer, [obj.name for obj in drawn_objects(scene)])
+    items = passes.layer_passes(view_layer, [obj.name for obj in drawn_objects(scene, instanced=True)])
 
     engine.update_stats("", "GRMM: reading the scene")
     views = [view.name for view in scene.render.views if view.use] if scene.render.use_multiview else [""]

@@ -25,7 +25,7 @@ class GRMM_RenderEngine(bpy.types.RenderEngine):
 
     def update_render_passes(self, scene: bpy.types.Scene, renderlayer: bpy.types.ViewLayer) -> None:
         """Tell Blender which passes there are."""
-        passes.register_passes(self, scene, renderlayer, [obj.name for obj in drawn_objects(scene)])
+        passes.register_passes(self, scene, renderlayer, [obj.name for obj in drawn_objects(scene, instanced=True)])
 
     def render(self, depsgraph: bpy.types.Depsgraph) -> None:
         """Render one view layer of one frame."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import bpy
@@ -29,6 +30,7 @@ from .photo_light import photo_lighting
 from .shot import WEARS_ITS_OWN, AvatarShot
 from .visibility import is_holdout
 
+_LEAST_SIZE = 1e-6  # of a scale
 _HEAD_RADIUS = 0.19  # metres around the head's origin that hold hair and neck
 _CENTRE = Vector((0.0, -0.01, 0.0))  # of the head, in its own axes
 
@@ -90,6 +92,11 @@ class DrawnAvatar:
         return self.avatar.object
 
     @property
+    def has_size(self) -> bool:
+        """Whether there is anything to see: animators scale people to nothing."""
+        return bool(np.linalg.norm(self.model_to_world[:3, :3]) > _LEAST_SIZE)
+
+    @property
     def meshes(self) -> tuple[bpy.types.Object, ...]:
         """Mesh objects in whose place Gaussians are drawn."""
         return (self.object,)
@@ -143,10 +150,29 @@ def place_of(avatar: Avatar, depsgraph: bpy.types.Depsgraph) -> HeadPlace:
     return HeadPlace(matrix @ _CENTRE, radius, math.atan2(forward.x, -forward.y))
 
 
-def avatars_in(where: bpy.types.Scene | bpy.types.Depsgraph) -> list[Avatar]:
-    """Return the avatars of a scene, or those that an evaluated scene shows; each once, in the order of their names."""
-    found = {Avatar(obj) for obj in where.objects if is_avatar(obj)}
-    return sorted(found, key=lambda avatar: avatar.name)
+def avatars_in(scene: bpy.types.Scene) -> list[Avatar]:
+    """Return the avatars of a scene, each once, in the order of their names."""
+    return _by_name(scene.objects)
+
+
+def avatars_shown(depsgraph: bpy.types.Depsgraph) -> list[Avatar]:
+    """Return the avatars that an evaluated scene shows, also as instances alone; each once, in the order of their names."""
+    return _by_name(instance.object for instance in depsgraph.object_instances)
+
+
+def avatars_with_instanced(scene: bpy.types.Scene) -> list[Avatar]:
+    """As `avatars_in`, with those of collections that the scene shows as instances."""
+    objects, waiting = dict.fromkeys(scene.objects), list(scene.objects)
+    while waiting:
+        instanced = waiting.pop().instance_collection
+        fresh = [obj for obj in instanced.all_objects if obj not in objects] if instanced is not None else []
+        objects |= dict.fromkeys(fresh)
+        waiting += fresh
+    return _by_name(objects)
+
+
+def _by_name(objects: Iterable[bpy.types.Object]) -> list[Avatar]:
+    return sorted({Avatar(obj) for obj in objects if is_avatar(obj)}, key=lambda avatar: avatar.name)
 
 
 def is_drawn(avatar: Avatar) -> bool:

@@ -13,7 +13,7 @@ import bpy
 from ...grmm_core.geometry.camera import Camera
 from ..properties import SCENE_LIGHT
 from ..splats.cloud import Cloud, CloudShot
-from .avatars import DrawnAvatar, avatars_in, drawn_avatar, is_drawn
+from .avatars import DrawnAvatar, avatars_in, avatars_shown, avatars_with_instanced, drawn_avatar, is_drawn
 from .cameras import Eye, clip_range, render_camera, scene_camera
 from .clouds import DrawnCloud, clouds_in, drawn_cloud
 from .lights import LightReader
@@ -43,7 +43,7 @@ def walk(
     copies: dict[Cloud, CloudShot] = {}
     for instance in depsgraph.object_instances:
         drawn = drawn_avatar(instance, depsgraph) or drawn_cloud(instance, copies)
-        if drawn is not None:
+        if isinstance(drawn, DrawnCloud) or (drawn is not None and drawn.has_size):
             found.append(drawn)
         if visit is not None:
             visit(instance, drawn is not None)
@@ -83,7 +83,7 @@ def begin_scene(
         FileFormatError: A cloud was damaged by edits.
     """
     view_layer, scene = depsgraph.view_layer, depsgraph.scene_eval
-    is_lit = any(avatar.object.grmm.lighting == SCENE_LIGHT for avatar in avatars_in(depsgraph))
+    is_lit = any(avatar.object.grmm.lighting == SCENE_LIGHT for avatar in avatars_shown(depsgraph))
     # what is beside the picture may throw a shadow into it
     reader = OccluderReader(depsgraph, None if is_lit else camera, use_meshes, kept)
     lights = LightReader()
@@ -148,7 +148,13 @@ def begin_frame(
     return Frame(scene, view, clip_range(camera)), meshes
 
 
-def drawn_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """Return the heads and clouds of a scene that Gaussians draw, visible or not, in the order of their names."""
-    heads = [avatar.object for avatar in avatars_in(scene) if is_drawn(avatar)]
+def drawn_objects(scene: bpy.types.Scene, instanced: bool = False) -> list[bpy.types.Object]:
+    """Return the heads and clouds of a scene that Gaussians draw, visible or not, in the order of their names.
+
+    Args:
+        scene: The scene.
+        instanced: Also the heads of collections that it shows as instances.
+    """
+    avatars = avatars_with_instanced(scene) if instanced else avatars_in(scene)
+    heads = [avatar.object for avatar in avatars if is_drawn(avatar)]
     return sorted(heads + [cloud.object for cloud in clouds_in(scene)], key=lambda obj: obj.name)

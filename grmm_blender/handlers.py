@@ -59,6 +59,8 @@ def _on_edit(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
         return
     if _left_rigs.notice_deleted() and not bpy.app.background:
         events.later(_remove_left_rigs, 0.0)  # not while the edit is being reported
+    if any(isinstance(update.id, (bpy.types.Collection, bpy.types.Scene)) for update in depsgraph.updates):
+        _drop_deleted_hair(scene)
     if any(isinstance(update.id, bpy.types.Action) for update in depsgraph.updates):
         for avatar in avatars_in(scene):
             group_channels(avatar)
@@ -77,6 +79,8 @@ def _on_edit(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
 @persistent
 def _on_other_state(*_: object) -> None:
     """Another file, point of the undo history, or runtime: what was written last says nothing about it."""
+    for scene in bpy.data.scenes:
+        _drop_deleted_hair(scene)
     live.forget()
     display.forget()
     _left_rigs.forget()
@@ -128,8 +132,18 @@ def _on_render_end(*_: object) -> None:
 def _settle(*_: object) -> None:
     """What only the evaluated scene has goes into the data: before files and renders, and a moment after a frame change."""
     for scene in bpy.data.scenes:
+        _drop_deleted_hair(scene)
         for avatar in avatars_in(scene):
             live.settle(avatar)
+
+
+def _drop_deleted_hair(scene: bpy.types.Scene) -> None:
+    """Have heads whose curves were deleted wear the panel's groom; Blender keeps what a property names, in no collection."""
+    for avatar in avatars_in(scene):
+        hair = avatar.object.grmm.hair
+        if hair.curves is not None and hair.curves.library is None and not hair.curves.users_collection:
+            hair.curves = None
+            avatar.tag_edited()
 
 
 def _animate_again(avatar: Avatar) -> None:

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 
 import bpy
 import numpy as np
+from mathutils import Matrix
 
 from ...grmm_core.avatar import AssetReference
 from ...grmm_core.errors import GrmmError, ShapeError
@@ -34,6 +35,7 @@ HELD = {GROUPS[group]: group for group in (BROWS, BEARD, LASHES)}  # parts that 
 HELD_PREFIX = "grmm_"  # before their names: the panel's choice that curves were made from
 MADE_OF = "grmm_made_of"  # the same of the hair itself
 SAME_REST = 0.003  # metres
+_NO_SIZE = 1e-18  # determinant of a scale of a millionth
 _TO_HEAD = np.linalg.inv(HEAD_TO_BLENDER)
 
 
@@ -140,7 +142,7 @@ def _read(
     if len(shown.offsets) < 2:
         return None
     if shown.matches(own):
-        rest = _moved(own, _TO_HEAD @ np.array(head.matrix_world.inverted_safe() @ obj.matrix_world, np.float64))
+        rest = _moved(own, _TO_HEAD @ np.array(_place_on_head(head, obj), np.float64))
         made = _of_rest(head, obj, rest, known, brief=not final and obj.mode != "OBJECT")
     else:
         made = _of_frame(head, shown, depsgraph, model_to_world, known, key[0])
@@ -152,11 +154,20 @@ def _read(
     return made.shot
 
 
+def _place_on_head(head: bpy.types.Object, obj: bpy.types.Object) -> Matrix:
+    """The curves' axes to the head object's, [4, 4]; a hidden object has the world matrix of when it was hidden."""
+    if obj.parent == head:
+        return obj.matrix_parent_inverse @ obj.matrix_basis
+    return head.matrix_world.inverted_safe() @ obj.matrix_world
+
+
 def _evaluated(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bpy.types.Object | None:
     """The evaluated object, None where it is hidden: a depsgraph has such objects too, without what their modifiers do."""
     found = depsgraph.objects.get(obj.name)
     if found is None or found.original != obj:  # several may have the name, of several libraries
         found = next((item for item in depsgraph.objects if item.original == obj), None)
+    if found is None:  # perhaps it is there with the instance of a collection
+        found = next((item.object for item in depsgraph.object_instances if item.object.original == obj), None)
     return found
 
 
@@ -164,6 +175,8 @@ def _shown(
     obj: bpy.types.Object, evaluated: bpy.types.Object, own: _Curves, model_to_world: np.ndarray, final: bool
 ) -> _Curves:
     """Evaluated curves in head space; as wide as the object's own where only sliders have changed that, for other engines."""
+    if abs(np.linalg.det(model_to_world[:3, :3])) < _NO_SIZE:
+        raise ShapeError("The head has no size; scale it up to see its curves.")
     to_head = np.linalg.inv(model_to_world) @ np.array(evaluated.matrix_world, np.float64)
     shown = _moved(_curves_of(evaluated.data, own), to_head)
     if follows_sliders(obj, final) and np.array_equal(shown.offsets, own.offsets):

@@ -88,7 +88,7 @@ def put_aside(obj: bpy.types.ID, push_down: bool) -> None:
         strip.frame_start_raw, strip.frame_end_raw = first, max(last, first + 1.0)
         strip.blend_type, strip.extrapolation = data.action_blend_type, data.action_extrapolation  # it plays on as it did
         if data.action_influence < 1.0:
-            strip.use_animated_influence, strip.influence = True, data.action_influence
+            strip.influence, strip.use_animated_influence = data.action_influence, True  # which makes a key of it
     else:
         action.use_fake_user = True
     data.action = None

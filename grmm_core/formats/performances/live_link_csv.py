@@ -174,7 +174,7 @@ def _timecode_rate(parts: np.ndarray) -> float:
 def write_live_link_csv(path: str | os.PathLike[str], performance: Performance, progress: Share | None = None) -> None:
     """Write 63 columns in the app's order. Raises `FileAccessError`.
 
-    The time code counts frames of the nearest whole rate, with a decimal part.
+    The time code counts frames of a rate that `read_live_link_csv` finds again, with a decimal part.
     """
     order = [ARKIT_NAMES.index(name) for name in _LIVE_LINK_ORDER]
     angles = np.zeros((performance.frame_count, _ROTATION_COUNT))
@@ -188,13 +188,21 @@ def write_live_link_csv(path: str | os.PathLike[str], performance: Performance, 
     text = io.StringIO()
     names = [name[0].upper() + name[1:] for name in _LIVE_LINK_ORDER]
     text.write(",".join(["Timecode", "BlendShapeCount", *names, *columns]) + "\n")
-    rate = max(1, math.ceil(performance.fps - 0.01))
+    rate = _written_rate(performance)
     count = len(order) + _ROTATION_COUNT
     table = np.concatenate([performance.weights[:, order].astype(np.float64), angles], 1).tolist()
     for i, (time, row) in enumerate(zip(performance.times.tolist(), table, strict=True)):
         text.write(f"{_timecode(time, rate)},{count},{','.join(f'{value:.7g}' for value in row)}\n")
         report_frame(progress, i, performance.frame_count)
     atomic_write_bytes(path, text.getvalue().encode("ascii"))
+
+
+def _written_rate(performance: Performance) -> int:
+    """The usual rate above the recording's; within one second that by which `_timecode_rate` reads it."""
+    if performance.times[0] // 1.0 == performance.times[-1] // 1.0:
+        return int(DEFAULT_FPS)
+    slowest = performance.fps - 0.01
+    return next((rate for rate in _STANDARD_RATES if rate >= slowest), math.ceil(slowest))
 
 
 def _timecode(seconds: float, rate: int) -> str:

@@ -12,8 +12,9 @@ import pytest
 
 from grmm_core.controls.names import ARKIT_NAMES, JOINT_NAMES
 from grmm_core.errors import FileAccessError, FileFormatError, GrmmError
-from grmm_core.formats import read_performance
+from grmm_core.formats import read_performance, write_performance
 from grmm_core.geometry.rotations import axis_angle_to_matrix, euler_to_matrix
+from grmm_core.performance import Performance
 
 ANGLES = [f"{part}{axis}" for part in ("Head", "LeftEye", "RightEye") for axis in ("Yaw", "Pitch", "Roll")]
 PASCAL = [name[0].upper() + name[1:] for name in ARKIT_NAMES]
@@ -381,3 +382,18 @@ def test_cap4d_fits_keep_rotations_and_movement(tmp_path):
         assert euler_to_matrix(getattr(found, name)) == pytest.approx(axis_angle_to_matrix(arrays[key]), abs=1e-5)
     assert found.translation == pytest.approx(arrays["tra"])
     assert any("CAP4D" in sentence for sentence in found.warnings)
+
+
+@pytest.mark.parametrize("rate", [12.0, 23.976, 24.0, 26.0, 60.0, 120.0, 300.0])
+@pytest.mark.parametrize(("first", "seconds"), [(0.0, 0.4), (0.8, 0.4), (3.0, 2.5)])
+def test_a_recording_of_any_rate_and_length_is_written_so_that_its_times_come_back(tmp_path, rate, first, seconds):
+    """Ten frames of 24 a second had come back as four."""
+    count = round(seconds * rate)
+    weights = np.zeros((count, 52), np.float32)
+    weights[:, ARKIT_NAMES.index("jawOpen")] = np.linspace(0.0, 0.5, count)
+    path = tmp_path / "take.csv"
+    write_performance(path, Performance(first + np.arange(count) / rate, weights, rate, recorded_shapes=ARKIT_NAMES))
+    again = read_performance(path)
+    assert again.frame_count == count
+    np.testing.assert_allclose(again.times - again.times[0], np.arange(count) / rate, atol=1e-4)
+    assert again.fps == pytest.approx(rate, rel=0.01)

@@ -115,7 +115,7 @@ def output_path(filepath: str, extensions: tuple[str, ...], default: str) -> Pat
     Raises:
         FileAccessError: No file is chosen, or its folder does not exist.
     """
-    if not filepath:
+    if not filepath or filepath.endswith(("/", "\\")):
         raise FileAccessError("No file is chosen; choose a file name.")
     path = Path(bpy.path.abspath(filepath))
     if path.suffix.lower() not in extensions:

@@ -16,6 +16,7 @@ from ..geometry.camera import Camera
 from ..geometry.libraries import as_like, to_numpy
 from ..hair.drawing import Hiding
 from ..hair.ribbons import Eye
+from ..light.resting import Texels
 from ..light.transfer import vertex_normals
 from ..splat import Gaussians
 from .evaluator import Evaluator, Inputs, OpenAvatar
@@ -48,10 +49,9 @@ def without_inside(
         camera: In head space.
         hidden_from: What skin hides from a camera.
     """
-    head = target.model.head_model
-    bust = head.marked(_BUST)
+    bust, faces, rows = evaluator.cache.get((target.id, "bust"), lambda: _parts(target, evaluator.texels(target)))
     vertices = to_numpy(evaluator.mesh(target, inputs).vertices)
-    normals, here = vertex_normals(vertices, head.faces)[bust], vertices[bust]
+    normals, here = vertex_normals(vertices, target.model.head_model.faces)[bust], vertices[bust]
     towards = -camera.forward if camera.orthographic else camera.position - here
     cosine = (normals * towards).sum(1) / np.linalg.norm(towards, axis=-1).clip(1e-9)
     share = np.clip((cosine - BACK[0]) / (BACK[1] - BACK[0]), 0.0, 1.0)
@@ -64,12 +64,22 @@ def without_inside(
     if not hollow.any():
         return own
     for _ in range(_RINGS):  # up behind the edge; farther behind skin, it closes what gaps that has
-        hollow[head.faces[hollow[head.faces].any(1)]] = True
-    seen = np.ones((len(vertices), 1), np.float32)
-    seen[bust, 0] = np.where(hollow[bust], share * share * (3.0 - 2.0 * share), 1.0)
-    left = evaluator.texels(target).at(seen)[:, 0]
+        hollow[faces[hollow[faces].any(1)]] = True
+    seen = np.ones(len(vertices), np.float32)
+    seen[bust] = np.where(hollow[bust], share * share * (3.0 - 2.0 * share), 1.0)
+    texels = evaluator.texels(target)
+    left = np.ones(len(texels.corners), np.float32)
+    left[rows] = (texels.barycentric[rows] * seen[texels.corners[rows]]).sum(1)
     left = left if lod == 0 else left[evaluator.blocks(target, lod).middle]
     return dataclasses.replace(own, opacities=own.opacities * as_like(left, own.opacities))
+
+
+def _parts(target: OpenAvatar, texels: Texels) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices of the bust, the faces at them, and the numbers of the texels on these."""
+    head = target.model.head_model
+    bust = head.marked(_BUST)
+    touched = bust[head.faces].any(1)
+    return np.flatnonzero(bust), head.faces[touched], np.flatnonzero(touched[texels.face])
 
 
 def _on_bust(camera: Camera, here: np.ndarray) -> Camera | None:

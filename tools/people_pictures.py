@@ -70,12 +70,12 @@ def drawn(session: Session, number: int, expression: Mapping[str, float], view: 
 
 def lit(
     session: Session, number: int, expression: Mapping[str, float], view: Camera, light: Sequence[str] = LIGHT,
-    wall: tuple[float, float, float] = WALL, hair: str = OWN_HAIR,
+    wall: tuple[float, float, float] = WALL, hair: HairUse | None = None,
 ) -> np.ndarray:  # fmt: skip
     """One picture in a light, likewise."""
     lighting = lighting_of(light)
     response = None if lighting is None else Response()
-    instance = Instance(number, Controls().set_named(expression), hair=HairUse(hair), response=response)
+    instance = Instance(number, Controls().set_named(expression), hair=hair or HairUse(), response=response)
     options = RenderOptions(background=wall, strands=FINAL_STRANDS, lighting=lighting)
     return quantize(session.render([instance], view, options)["rgb"])
 
@@ -107,7 +107,11 @@ def main() -> int:
         tiles = [drawn(session, who, both(each), near, much) for who in faces for much in (0.0, 1.0) for each in FURROWING]
         sheet(tiles, 8).save(arguments.out / "wrinkles.jpg", quality=85)
         upright = Camera.orbit(LIT_SIZE, LIT_SIZE, yaw=0.0, pitch=0.0, distance=1.1, fov=18.0)
-        lamps = [lit(session, session.open(name).id, {}, upright, light, NIGHT, hair) for name, hair in LIT for light in LIGHTS]
+        lamps = []
+        for name, groom in LIT:
+            person = session.open(name)
+            hair = HairUse(groom, None if groom == OWN_HAIR else person.hair)  # another cut of the person's own color
+            lamps += [lit(session, person.id, {}, upright, light, NIGHT, hair) for light in LIGHTS]
         sheet(lamps, len(LIGHTS)).save(arguments.out / "light.jpg", quality=85)
         people = [session.sample(seed).id for seed in range(24)]
         tiles = [lit(session, who, {}, camera(arguments.size, YAWS[i % len(YAWS)])) for i, who in enumerate(people)]

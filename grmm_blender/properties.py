@@ -102,6 +102,7 @@ class GRMM_PG_hair(bpy.types.PropertyGroup):
     swing: flag("Swing", "Long hair lags behind the moving head and swings, as it was baked", **_LIVE)
     swing_file: text("Baked Swing", "File of the baked hair", subtype="FILE_PATH", options={"PATH_SUPPORTS_BLEND_RELATIVE"})
     swing_of: text("Baked Hair", "The person and the hair that were baked", options={"HIDDEN"})
+    swing_digest: text("Baked Movement", "What the file must hold to be the one that was baked", options={"HIDDEN"})
     __annotations__ |= {
         row.name: number(label_of(row.name), row.text, default=row.default, min=row.low, max=row.high, **_LIVE)
         for row in SETTINGS

@@ -19,7 +19,7 @@ from ..grmm_blender.scene.avatars import DrawnAvatar
 from ..grmm_blender.windows import areas
 from ..grmm_core.errors import ConfigError
 from ..grmm_core.hair import SETTINGS
-from ..grmm_core.hair.swing import write_bake
+from ..grmm_core.hair.swing import SwingBake, write_bake
 from ..grmm_core.session.swinging import swinging
 from .common import FrameRange, Result, active_avatar, check_object_mode, polls, require
 from .steps import CancelCheck, Step, SteppedOperator, Steps, Turn
@@ -133,14 +133,16 @@ class GRMM_OT_bake_swing(SteppedOperator, FrameRange, Operator):
                     raise ConfigError("This hair does not swing: it is in the avatar's Gaussians; choose a groom of strands.")
                 rows.append(swing)
 
-        def write(stopped: CancelCheck) -> None:
+        def write(stopped: CancelCheck) -> str:
             path.parent.mkdir(parents=True, exist_ok=True)
             write_bake(path, rows, frames[0], rate)
+            return SwingBake.read(path).digest
 
         while len(rows) < len(frames):
             yield Step(0.3 + 0.6 * len(rows) / len(frames), "Simulating", simulate)
-        yield Step(0.9, "Writing", write)
-        hair.swing_file, hair.swing_of, hair.swing = file, hair_key(avatar.object), True
+        digest = yield Step(0.9, "Writing", write)
+        hair.swing_file, hair.swing_of, hair.swing_digest = file, hair_key(avatar.object), digest
+        hair.swing = True
         avatar.tag_edited()
         return f"Baked {len(frames)} frames of hair to {path.name}"
 

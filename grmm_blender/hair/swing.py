@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import zlib
 from pathlib import Path
 
 import bpy
 import numpy as np
 
-from ...grmm_core.errors import FileAccessError, GrmmError
+from ...grmm_core.errors import ConfigError, FileAccessError, GrmmError
 from ...grmm_core.hair.swing import SwingBake
 from ...grmm_core.session import HairUse
+from ...grmm_core.session.swinging import named_groom
+from ...grmm_core.session.wearing import OWN_HAIR
+from ..rig.avatar import Avatar
+from ..rig.identity import avatar_file, own_hair
 from .grooms import RANDOM_HAIR
 
 FOLDER = "grmm_hair"  # beside the blend file
@@ -19,10 +24,16 @@ _TO_Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 
 
 def bake_path(name: str) -> str:
-    """Where an object's bake goes, relative to the blend file. Raises `FileAccessError` where that has no place yet."""
+    """Where an object's bake goes, relative to the blend file. Raises `FileAccessError` where that has no place yet.
+
+    Blend files of one folder have files of their own, and so have objects whose names differ in what file names cannot have.
+    """
     if not bpy.data.filepath:
         raise FileAccessError("Save the blend file first; the baked hair is written beside it.")
-    return f"//{FOLDER}/{bpy.path.clean_name(name)}.npz"
+    clean = bpy.path.clean_name(name)
+    if clean != name:
+        clean += f"_{zlib.crc32(name.encode()):08x}"
+    return f"//{FOLDER}/{Path(bpy.data.filepath).stem}.{clean}.npz"
 
 
 def hair_key(head: bpy.types.Object) -> str:
@@ -46,22 +57,37 @@ def swung(use: HairUse, head: bpy.types.Object, frame: float) -> tuple[HairUse, 
         head: The evaluated head object.
         frame: With its part.
     """
-    hair = head.grmm.hair
-    if not hair.swing:
+    if not head.grmm.hair.swing:
         return use, ""
-    if not hair.swing_file:
-        return use, "Bake the swing of the hair, or switch it off."
-    if hair.swing_of != hair_key(head):
-        return use, "The hair was changed after its swing was baked; bake it again."
-    path = Path(bpy.path.abspath(hair.swing_file, library=head.original.library))
     try:
-        changed = path.stat().st_mtime_ns
-    except OSError:
-        return use, f"The baked hair {path.name} is not there; bake it again."
-    try:
-        return _at(use, path, changed, frame), ""
+        return _swung(use, head, frame), ""
     except GrmmError as error:
-        return use, str(error)
+        return use, f"{head.name}: {error}"
+
+
+def _swung(use: HairUse, head: bpy.types.Object, frame: float) -> HairUse:
+    hair = head.grmm.hair
+    if not hair.swing_file:
+        raise ConfigError("Bake the swing of the hair, or switch it off.")
+    if hair.swing_of != hair_key(head):
+        raise ConfigError("The hair was changed after its swing was baked; bake it again.")
+    path = Path(bpy.path.abspath(hair.swing_file, library=head.original.library))
+    changed = _written(path)
+    if not changed:
+        raise FileAccessError(f"The baked hair {path.name} is not there; bake it again.")
+    if hair.swing_digest not in ("", _bake(path, changed).digest):  # earlier versions kept none
+        raise ConfigError(f"Another hair or movement was baked to {path.name} since; bake it again.")
+    source = Avatar(head).source
+    strands = _strand_count(use, source, head.grmm.head_name, _written(Path(avatar_file(source))))
+    return _at(use, path, changed, frame, strands)
+
+
+def _written(path: Path) -> int:
+    """When a file was written, as a number that is another one each time; 0 where there is none."""
+    try:
+        return path.stat().st_mtime_ns
+    except OSError:
+        return 0
 
 
 @functools.lru_cache(maxsize=4)
@@ -70,11 +96,18 @@ def _bake(path: Path, changed: int) -> SwingBake:
 
 
 @functools.lru_cache(maxsize=16)
-def _at(use: HairUse, path: Path, changed: int, frame: float) -> HairUse:
+def _strand_count(use: HairUse, source: str, head_name: str, changed: int) -> int:
+    """Strands of the groom that swings: an avatar's file may be written anew, and another version may have other grooms."""
+    own = own_hair(source) if use.groom == OWN_HAIR else None
+    groom = named_groom(use, head_name) if own is None else own.groom
+    return 0 if groom is None else len(groom)
+
+
+@functools.lru_cache(maxsize=16)
+def _at(use: HairUse, path: Path, changed: int, frame: float, strands: int) -> HairUse:
     """The same object for the same frame, so that viewports see that nothing has changed."""
     bake = _bake(path, changed)
     first, part = int(np.floor(frame)), frame - float(np.floor(frame))
-    strands = bake.frames.shape[1]
     swing = bake.at(first, strands)
     if part > 0.0:
         swing = swing + np.float32(part) * (bake.at(first + 1, strands) - swing)

@@ -12,6 +12,8 @@ the head: curls, cuts and settings of the strands ride on that.
 
 from __future__ import annotations
 
+import functools
+import hashlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -252,6 +254,13 @@ class SwingBake:
         if version != _VERSION or frames.dtype != np.int16 or frames.ndim != 4 or frames.shape[2:] != (PLACES, 3):
             raise FileFormatError(f"{path} holds baked hair of another kind than this version's; bake it again.")
         return SwingBake(frames, start, fps)
+
+    @functools.cached_property
+    def digest(self) -> str:
+        """What tells one movement from another: a file may have been written anew since somebody read it."""
+        found = hashlib.blake2b(np.ascontiguousarray(self.frames).data, digest_size=16)
+        found.update(repr((self.frames.shape, self.start, self.fps)).encode())
+        return found.hexdigest()
 
     def at(self, frame: int, strands: int) -> np.ndarray:
         """What `HairUse.swing` takes of a frame; the ends are held. Raises `ShapeError` for a groom of other strands."""

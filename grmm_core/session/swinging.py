@@ -60,10 +60,9 @@ def swinging(
 
 def worn_groom(avatar: AvatarInfo, use: HairUse) -> Groom | None:
     """The groom that an avatar wears; None where it has none, or it was put into a session, whose caller has it."""
-    if use.groom.startswith(GROOM_PREFIX):
-        return library_groom(use.groom.removeprefix(GROOM_PREFIX), avatar.head_name)
-    if use.groom.startswith(RANDOM_PREFIX):
-        return random_groom(use.groom.removeprefix(RANDOM_PREFIX), avatar.head_name)
+    found = named_groom(use, avatar.head_name)
+    if found is not None:
+        return found
     if use.groom != OWN_HAIR or avatar.hair is None:
         return None
     source = avatar.source
@@ -71,3 +70,12 @@ def worn_groom(avatar: AvatarInfo, use: HairUse) -> Groom | None:
         source = str(library_path(DEFAULT_NAME if source == DEFAULT_SOURCE else source.removeprefix(LIBRARY_PREFIX)))
     hair = load_avatar(source).hair
     return None if hair is None else hair.groom
+
+
+def named_groom(use: HairUse, head_name: str) -> Groom | None:
+    """The groom on the scalp where its name says which, whoever wears it; else None."""
+    if use.groom.startswith(GROOM_PREFIX):
+        return library_groom(use.groom.removeprefix(GROOM_PREFIX), head_name)
+    if use.groom.startswith(RANDOM_PREFIX):
+        return random_groom(use.groom.removeprefix(RANDOM_PREFIX), head_name)
+    return None

@@ -183,6 +183,14 @@ def test_hair_swings_as_it_was_baked(hair_script):
     assert found["between"] < 1e-5
     assert "bake it again" in found["other"][0]
     assert found["other"][1]
+    assert found["carried"] == ""
+    assert found["files"] == [True, 2]
+    assert found["kept"] == 0
+    for name, words in {"foreign": "bake it again", "few": "strands, the groom"}.items():
+        assert words in found[name][0], name
+        assert found[name][1], name
+    assert found["few"][2] < 0.01
+    assert found["undated"] == ["", False]  # bakes of earlier versions: no digest is kept of them
     assert found["spoilt"][1]
     assert found["spoilt"][2] < 0.01
     assert "does not swing" in found["bald"]

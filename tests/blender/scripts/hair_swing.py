@@ -65,7 +65,37 @@ report(
 hair.groom = "bob"
 report(other=[worn(6).note, worn(6).hair.swing is None])
 hair.groom = "long"
-next((folder / "grmm_hair").iterdir()).write_bytes(b"spoilt")
+
+# Another blend file of the folder, with another movement, leaves this one's hair alone; what is not this head's is told of.
+file = Path(bpy.path.abspath(hair.swing_file))
+bpy.ops.wm.save_mainfile()
+bpy.ops.wm.save_as_mainfile(filepath=str(folder / "other.blend"))
+report(carried=worn(6).note)
+scene.frame_end = 3
+bpy.ops.grmm.bake_swing()
+theirs = Path(bpy.path.abspath(hair.swing_file))
+clean = []
+for name in ("Ann.b", "Ann_b"):
+    head.name = name
+    bpy.ops.grmm.bake_swing()
+    clean.append(hair.swing_file)
+bpy.ops.wm.open_mainfile(filepath=str(folder / "scene.blend"))
+scene = bpy.context.scene
+head = heads(scene)[0]
+hair = head.grmm.hair
+report(files=[file != theirs, len(set(clean))], kept=float(np.abs(worn(6).hair.swing - offsets[5]).max()))
+ours = file.read_bytes()
+file.write_bytes(theirs.read_bytes())
+report(foreign=[worn(6).note, worn(6).hair.swing is None])
+with np.load(theirs) as arrays:
+    few = {**arrays, "frames": arrays["frames"][:, :-100]}
+np.savez_compressed(file, **few)
+hair.swing_digest = ""
+head.update_tag()
+report(few=[worn(6).note, worn(6).hair.swing is None, float(np.abs(shot(6) - plain).mean())])
+file.write_bytes(ours)
+report(undated=[worn(6).note, worn(6).hair.swing is None])
+file.write_bytes(b"spoilt")
 report(spoilt=[worn(6).note, worn(6).hair.swing is None, float(np.abs(shot(6) - plain).mean())])
 hair.groom = "NONE"
 report(bald=message_of(bpy.ops.grmm.bake_swing))

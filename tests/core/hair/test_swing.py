@@ -140,6 +140,10 @@ def test_a_bake_gives_any_frame_in_any_order(head, groom, shaken, played, tmp_pa
     for frame in (107, 101, 109, 101):
         np.testing.assert_allclose(bake.at(frame, len(groom)), played[frame - 100], atol=6e-5)
     np.testing.assert_array_equal(bake.at(5, len(groom)), bake.at(100, len(groom)))
+    write_bake(tmp_path / "same.npz", iter(played[:10]), 100, FPS)
+    write_bake(tmp_path / "less.npz", iter(0.5 * played[:10]), 100, FPS)
+    digests = [SwingBake.read(tmp_path / f"{name}.npz").digest for name in ("hair", "same", "less")]
+    assert digests[0] == digests[1] != digests[2]
     with pytest.raises(ShapeError, match="bake it again"):
         bake.at(100, len(groom) + 1)
     np.savez(tmp_path / "other.npz", frames=np.zeros(3))

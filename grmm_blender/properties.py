@@ -41,7 +41,8 @@ def _source_changed(self: bpy.types.PropertyGroup, context: bpy.types.Context) -
         show_source(Avatar(self.id_data))
 
 
-_LIVE: dict[str, Any] = {"override": {"LIBRARY_OVERRIDABLE"}, "update": _changed}
+_OVERRIDABLE: dict[str, Any] = {"override": {"LIBRARY_OVERRIDABLE"}}
+_LIVE: dict[str, Any] = {**_OVERRIDABLE, "update": _changed}
 _FACTOR: dict[str, Any] = {"default": 1.0, "min": 0.0, "soft_max": 3.0, **_LIVE}
 
 
@@ -100,9 +101,12 @@ class GRMM_PG_hair(bpy.types.PropertyGroup):
         part: choice(label_of(part), f"What {part} the avatar wears", *items, **_LIVE) for part, items in PART_ITEMS.items()
     }
     swing: flag("Swing", "Long hair lags behind the moving head and swings, as it was baked", **_LIVE)
-    swing_file: text("Baked Swing", "File of the baked hair", subtype="FILE_PATH", options={"PATH_SUPPORTS_BLEND_RELATIVE"})
-    swing_of: text("Baked Hair", "The person and the hair that were baked", options={"HIDDEN"})
-    swing_digest: text("Baked Movement", "What the file must hold to be the one that was baked", options={"HIDDEN"})
+    swing_file: text(
+        "Baked Swing", "File of the baked hair", subtype="FILE_PATH", options={"PATH_SUPPORTS_BLEND_RELATIVE"}, **_OVERRIDABLE
+    )
+    swing_known: text("Known Bake", "Where the file was when it was baked", options={"HIDDEN"}, **_OVERRIDABLE)
+    swing_of: text("Baked Hair", "The person and the hair that were baked", options={"HIDDEN"}, **_OVERRIDABLE)
+    swing_digest: text("Baked Movement", "What the file must hold to be what was baked", options={"HIDDEN"}, **_OVERRIDABLE)
     __annotations__ |= {
         row.name: number(label_of(row.name), row.text, default=row.default, min=row.low, max=row.high, **_LIVE)
         for row in SETTINGS

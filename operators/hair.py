@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import ClassVar
 
 import bpy
@@ -14,7 +13,7 @@ from ..grmm_blender.hair.build import drawing, make_curves, worn_hair
 from ..grmm_blender.hair.grooms import HAIR_ITEMS, icon_of
 from ..grmm_blender.hair.swing import bake_path, hair_key, place_of_head
 from ..grmm_blender.properties import wear
-from ..grmm_blender.rig.avatar import Avatar
+from ..grmm_blender.rig.avatar import Avatar, stored_path
 from ..grmm_blender.scene.avatars import DrawnAvatar
 from ..grmm_blender.windows import areas
 from ..grmm_core.errors import ConfigError
@@ -108,8 +107,7 @@ class GRMM_OT_bake_swing(SteppedOperator, FrameRange, Operator):
         hair = avatar.object.grmm.hair
         if hair.curves is not None:
             raise ConfigError("This hair is curves; simulate them in Blender, or take them out of the Hair panel.")
-        file = bake_path(avatar.object.name)
-        path = Path(bpy.path.abspath(file))
+        path = bake_path(avatar.object.name)
         hair.swing = False  # what is baked is the hair that follows the head
         controls, places, turn = [], [], Turn()
         with exporting.kept_frame(scene):
@@ -141,8 +139,8 @@ class GRMM_OT_bake_swing(SteppedOperator, FrameRange, Operator):
         while len(rows) < len(frames):
             yield Step(0.3 + 0.6 * len(rows) / len(frames), "Simulating", simulate)
         digest = yield Step(0.9, "Writing", write)
-        hair.swing_file, hair.swing_of, hair.swing_digest = file, hair_key(avatar.object), digest
-        hair.swing = True
+        hair.swing_file, hair.swing_known = stored_path(str(path), obj=avatar.object), str(path)
+        hair.swing_of, hair.swing_digest, hair.swing = hair_key(avatar.object), digest, True
         avatar.tag_edited()
         return f"Baked {len(frames)} frames of hair to {path.name}"
 

@@ -43,7 +43,7 @@ class GRMM_OT_relink_avatar(ImportsFiles, Operator):
         path = Path(bpy.path.abspath(self.filepath))
         read_identity(str(path))
         before = avatar.object.grmm.source
-        avatar.object.grmm.source = stored_path(str(path), self.relative_path)
+        avatar.object.grmm.source = stored_path(str(path), self.relative_path, avatar.object)
         problem = live.state_of(avatar).message
         if problem:
             avatar.object.grmm.source = before

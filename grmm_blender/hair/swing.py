@@ -15,7 +15,7 @@ from ...grmm_core.hair.swing import SwingBake
 from ...grmm_core.session import HairUse
 from ...grmm_core.session.swinging import named_groom
 from ...grmm_core.session.wearing import OWN_HAIR
-from ..rig.avatar import Avatar
+from ..rig.avatar import Avatar, located
 from ..rig.identity import avatar_file, own_hair
 from .grooms import RANDOM_HAIR
 
@@ -23,8 +23,8 @@ FOLDER = "grmm_hair"  # beside the blend file
 _TO_Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # from Blender's axes
 
 
-def bake_path(name: str) -> str:
-    """Where an object's bake goes, relative to the blend file. Raises `FileAccessError` where that has no place yet.
+def bake_path(name: str) -> Path:
+    """The file of an object's bake, beside the blend file. Raises `FileAccessError` where that has no place yet.
 
     Blend files of one folder have files of their own, and so have objects whose names differ in what file names cannot have.
     """
@@ -33,7 +33,8 @@ def bake_path(name: str) -> str:
     clean = bpy.path.clean_name(name)
     if clean != name:
         clean += f"_{zlib.crc32(name.encode()):08x}"
-    return f"//{FOLDER}/{Path(bpy.data.filepath).stem}.{clean}.npz"
+    blend = Path(bpy.data.filepath)
+    return blend.parent / FOLDER / f"{blend.stem}.{clean}.npz"
 
 
 def hair_key(head: bpy.types.Object) -> str:
@@ -71,7 +72,7 @@ def _swung(use: HairUse, head: bpy.types.Object, frame: float) -> HairUse:
         raise ConfigError("Bake the swing of the hair, or switch it off.")
     if hair.swing_of != hair_key(head):
         raise ConfigError("The hair was changed after its swing was baked; bake it again.")
-    path = Path(bpy.path.abspath(hair.swing_file, library=head.original.library))
+    path = Path(located(head.original, hair.swing_file, hair.swing_known))
     changed = _written(path)
     if not changed:
         raise FileAccessError(f"The baked hair {path.name} is not there; bake it again.")

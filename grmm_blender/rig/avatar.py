@@ -47,12 +47,8 @@ class Avatar(ObjectWrapper):
         if not stored or stored == DEFAULT_SOURCE or stored.startswith((SAMPLE_PREFIX, LIBRARY_PREFIX)):
             return stored or DEFAULT_SOURCE
         if stored.startswith(FLAME_PREFIX):
-            return FLAME_PREFIX + bpy.path.abspath(stored.removeprefix(FLAME_PREFIX), library=self.object.library)
-        path = bpy.path.abspath(stored, library=self.object.library)
-        known = self.object.grmm.known_path
-        if known and stored.startswith("//") and not Path(path).exists() and Path(known).exists():
-            return known  # appended from a file elsewhere, whose folder the relative name meant
-        return path
+            return FLAME_PREFIX + located(self.object, stored.removeprefix(FLAME_PREFIX))
+        return located(self.object, stored, self.object.grmm.known_path)
 
     @property
     def missing_file(self) -> str:
@@ -215,12 +211,33 @@ def locked_to_rig(selected: Iterable[bpy.types.Object]) -> bpy.types.Object | No
     return rigs[0] if rigs and all(rig is not None and rig not in objects for rig in rigs) else None
 
 
-def stored_path(path: str, relative: bool = True) -> str:
-    """What to keep in the scene for a file: relative to the saved .blend file where that is possible and wanted."""
-    if not (relative and bpy.data.is_saved):
+def library_of(obj: bpy.types.Object) -> bpy.types.Library | None:
+    """The library whose folder relative names of an object start from: for an override that of what it overrides."""
+    while obj.override_library is not None and obj.override_library.reference is not None:
+        obj = obj.override_library.reference
+    return obj.library
+
+
+def located(obj: bpy.types.Object, stored: str, known: str = "") -> str:
+    """The absolute path of a file that an object names.
+
+    Args:
+        obj: Original data.
+        stored: As `stored_path` returned it.
+        known: Where the file once was, for an object that came from a file elsewhere, whose folder the relative name meant.
+    """
+    path = bpy.path.abspath(stored, library=library_of(obj))
+    lost = stored.startswith("//") and not Path(path).exists()
+    return known if lost and known and Path(known).exists() else path
+
+
+def stored_path(path: str, relative: bool = True, obj: bpy.types.Object | None = None) -> str:
+    """What an object that is given or new keeps for a file: relative where that is wanted, and its .blend file has a place."""
+    library = None if obj is None else library_of(obj)
+    if not relative or (library is None and not bpy.data.is_saved):
         return path
     try:
-        return bpy.path.relpath(path)
+        return bpy.path.relpath(path, start=None if library is None else str(Path(bpy.path.abspath(library.filepath)).parent))
     except ValueError:  # another drive on Windows
         return path
 

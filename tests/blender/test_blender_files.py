@@ -75,6 +75,7 @@ def test_libraries_and_persons(saved):
     assert linked["parity"] < RIG_PARITY
 
     overridden = result["overridden"]
+    assert overridden["source"] is True  # likewise
     assert overridden["moved"] > 1e-3
     assert "override" in overridden["message"]
     assert overridden["kept"] == [0.9, 0.2]

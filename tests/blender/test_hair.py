@@ -194,6 +194,9 @@ def test_hair_swings_as_it_was_baked(hair_script):
     assert found["spoilt"][1]
     assert found["spoilt"][2] < 0.01
     assert "does not swing" in found["bald"]
+    for case, seen in found["brought"].items():
+        assert seen[0] == "", case
+        assert all(seen[1:]), case
 
 
 def test_brows_and_beard_become_curves_and_stay_what_they_are(hair_script):

@@ -63,14 +63,17 @@ def overridden() -> dict:
     bpy.context.view_layer.update()
     moved = largest(mesh_of(avatar) - before)
     message = live.limitation(avatar)
-    file = folder / "override.blend"
+    file = folder / "shots" / "override.blend"
+    file.parent.mkdir()
     bpy.ops.wm.save_as_mainfile(filepath=str(file))
     bpy.context.scene.frame_set(1)
     after = mesh_of(avatar)
     bpy.ops.wm.open_mainfile(filepath=str(file))
     again = avatars_in(bpy.context.scene)[0]
     bpy.context.scene.frame_set(1)
+    again.object.grmm.known_path = ""
     return {
+        "source": Path(again.source).exists(),
         "moved": moved,
         "message": message,
         "kept": [round(float(again.controls().aligned[2]), 4), round(float(again.controls().pose[2, 0]), 4)],

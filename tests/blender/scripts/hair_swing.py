@@ -7,8 +7,8 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from render_support import heads, load_png, new_scene, render
-from support import module, report
+from render_support import heads, load_png, new_scene, render, use_weights
+from support import empty_scene, module, report
 
 weights, folder = sys.argv[1], Path(sys.argv[2])
 scene = new_scene(weights)
@@ -99,3 +99,47 @@ file.write_bytes(b"spoilt")
 report(spoilt=[worn(6).note, worn(6).hair.swing is None, float(np.abs(shot(6) - plain).mean())])
 hair.groom = "NONE"
 report(bald=message_of(bpy.ops.grmm.bake_swing))
+
+# In files of another folder: appended, linked, overridden, baked there.
+file.write_bytes(ours)
+shots = folder / "shots"
+shots.mkdir()
+
+
+def bring(link: bool) -> bpy.types.Object:
+    """Bring the head into a file of that folder; returns its object."""
+    global scene
+    scene = empty_scene()
+    use_weights(weights)
+    bpy.ops.wm.save_as_mainfile(filepath=str(shots / "shot.blend"))
+    with bpy.data.libraries.load(str(folder / "scene.blend"), link=link) as (there, here):
+        here.objects = [name for name in there.objects if "Sample" in name]
+    for obj in here.objects:
+        scene.collection.objects.link(obj)
+    return next(obj for obj in here.objects if obj.type == "MESH")
+
+
+def swings() -> list:
+    shot = worn(6)
+    return [shot.note, shot.hair.swing is not None]
+
+
+brought = {}
+bring(link=False)
+brought["appended"] = swings()
+head = bring(link=True)
+brought["linked"] = swings()
+head = head.override_hierarchy_create(scene, bpy.context.view_layer, do_fully_editable=True)
+for obj in list(scene.collection.objects):
+    if obj.library is not None:
+        scene.collection.objects.unlink(obj)
+head.grmm.hair.swing_known = ""
+brought["overridden"] = swings()
+bpy.context.view_layer.objects.active = head
+bpy.ops.grmm.bake_swing(last=2)
+head.grmm.hair.swing_known = ""
+bpy.ops.wm.save_mainfile()
+bpy.ops.wm.open_mainfile(filepath=bpy.data.filepath)
+scene = bpy.context.scene
+brought["baked"] = [*swings(), (shots / "grmm_hair").is_dir()]
+report(brought=brought)

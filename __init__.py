@@ -28,6 +28,7 @@ MODULES = (
     ".grmm_blender.recordings",
     ".grmm_blender.menus",
     ".grmm_blender.translations",
+    ".grmm_blender.moved_files",
     ".grmm_blender.handlers",
     ".grmm_blender.session_host",
 )

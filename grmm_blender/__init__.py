@@ -28,5 +28,6 @@ imports torch or numba, or knows the operators. What is registered stands in the
 ``command_job``                         a command of `grmm` in a process of its own
 ``fitting`` ``recordings``              avatars from photos, performances from videos and voices: job, panel
 ``menus`` ``translations``              menus of the viewport; labels in other languages
+``moved_files``                         names of files in what is saved elsewhere or appended
 ``handlers``                            frame change, edits, load and save
 """

@@ -90,6 +90,9 @@ def test_libraries_and_persons(saved):
     assert person["back"]["mesh"] < RIG_PARITY
     assert person["back"]["message"] == ""
 
+    for case, right in result["elsewhere"].items():
+        assert all(right), case
+
     gone, broken, nothing, objects = result["bad"]
     assert "gone.grmm does not exist" in gone
     assert "broken.grmm" in broken

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from pathlib import Path
 
@@ -120,8 +121,42 @@ def bad_files() -> list[str]:
     return [*messages, str(len(bpy.data.objects))]
 
 
+def saved_elsewhere() -> dict:
+    """Save a copy of the file to another folder, fail to save it, save it as another file, append from there to a third."""
+    bpy.ops.wm.open_mainfile(filepath=str(library))
+    obj = avatars_in(bpy.context.scene)[0].object
+    stored, key = obj.grmm.source, module("grmm_blender.hair.swing").hair_key
+    obj.grmm.known_path, obj.grmm.hair.swing_of = "", key(obj)
+    obj.grmm.hair.swing_file = "//grmm_hair/head.npz"
+    copy, own = folder / "deep" / "er" / "copy.blend", folder / "deep" / "head.blend"
+    copy.parent.mkdir(parents=True)
+    bpy.ops.wm.save_as_mainfile(filepath=str(copy), copy=True)
+    with contextlib.suppress(RuntimeError):
+        bpy.ops.wm.save_as_mainfile(filepath=str(folder / "not" / "there" / "head.blend"))
+    found = {"untouched": [obj.grmm.source == stored, obj.grmm.hair.swing_file == "//grmm_hair/head.npz"]}
+    for name, file in (("saved", own), ("opened", own), ("copy", copy)):
+        if name == "saved":
+            bpy.ops.wm.save_as_mainfile(filepath=str(file))
+        else:
+            bpy.ops.wm.open_mainfile(filepath=str(file))
+        avatar = avatars_in(bpy.context.scene)[0]
+        hair = avatar.object.grmm.hair
+        swing = Path(bpy.path.abspath(hair.swing_file)).resolve() == folder.resolve() / "grmm_hair" / "head.npz"
+        relative = avatar.object.grmm.source.startswith("//")
+        found[name] = [Path(avatar.source).exists(), relative, swing, hair.swing_of == key(avatar.object)]
+    empty_scene()
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "shots" / "appended.blend"))
+    with bpy.data.libraries.load(str(own)) as (there, here):
+        here.objects = [name for name in there.objects if "Camera" not in name]
+    avatar = next(avatar_of(obj) for obj in here.objects if obj.type == "MESH")
+    avatar.object.grmm.known_path = ""
+    found["appended"] = [Path(avatar.source).exists(), avatar.object.grmm.source.startswith("//")]
+    return found
+
+
 report(appended=appended())
 report(linked=linked())
 report(overridden=overridden())
 report(person=another_person())
 report(bad=bad_files())
+report(elsewhere=saved_elsewhere())

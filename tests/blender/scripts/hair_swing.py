@@ -125,8 +125,14 @@ def swings() -> list:
 
 
 brought = {}
-bring(link=False)
+head = bring(link=False)
 brought["appended"] = swings()
+kept, head.grmm.hair.swing_file = head.grmm.hair.swing_file, "//elsewhere.npz"
+head.update_tag()
+brought["known"] = swings()
+head.grmm.hair.swing_file, head.grmm.hair.swing_known = kept, ""
+head.update_tag()
+brought["renamed"] = swings()
 head = bring(link=True)
 brought["linked"] = swings()
 head = head.override_hierarchy_create(scene, bpy.context.view_layer, do_fully_editable=True)

@@ -6,6 +6,7 @@ imports torch or numba, or knows the operators. What is registered stands in the
 ``compat`` ``windows`` ``events``        differences between Blender versions, found by feature; redrawing; Blender's events
 ``declare``                             Blender's properties and operators by what users see of them
 ``wrapper``                             Python objects that stand for one object of Blender's
+``linking``                             collections that new objects go to
 ``progress_bar`` ``width``              progress bars in panels; sentences in lines that fit a panel
 ``latest_request`` ``pace``             work on a thread for the latest of many requests; what holds the frame rate
 ``session_host``                        the one model session of this process (in-process, or a worker interpreter)

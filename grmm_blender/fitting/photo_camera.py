@@ -17,6 +17,7 @@ from ...grmm_core.geometry.camera import Camera
 from ...grmm_core.head import load_open_head
 from ...grmm_core.photo.orientation import orientation_of, upright
 from ...grmm_core.session import HEAD_TO_BLENDER
+from ..linking import link_beside
 from ..rig.avatar import Avatar, avatar_of
 
 _SENSOR = 36.0  # millimetres
@@ -37,8 +38,7 @@ def add_photo_camera(context: bpy.types.Context, head: bpy.types.Object, photo: 
     """
     data = bpy.data.cameras.new(f"{head.name} photo")
     item = bpy.data.objects.new(data.name, data)
-    for collection in head.users_collection:
-        collection.objects.link(item)
+    link_beside(item, head)
     avatar = avatar_of(head)
     item.parent = head if avatar is None else avatar.root
     pose = HEAD_TO_BLENDER @ np.linalg.inv(np.asarray(camera.world_to_camera, float)) @ _TO_BLENDER_AXES

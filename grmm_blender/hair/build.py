@@ -23,6 +23,7 @@ from ...grmm_core.hair.pigment import ABSORPTION, BLOND, GINGER, GINGER_ABSORPTI
 from ...grmm_core.hair.prior import random_groom
 from ...grmm_core.hair.roots import LASHES, SCALP
 from .. import session_host
+from ..linking import link_beside
 from ..rig.avatar import Avatar
 from ..rig.identity import load_head, own_hair
 from ..rig.mesh import UV_NAME, to_blender
@@ -90,12 +91,7 @@ def selected_curves(avatar: Avatar) -> Iterator[None]:
             yield
     finally:
         if made is not None:
-            data, materials, nodes = made.data, list(made.data.materials), made.modifiers[SLIDERS].node_group
-            bpy.data.objects.remove(made)
-            bpy.data.hair_curves.remove(data)
-            bpy.data.node_groups.remove(nodes)
-            for material in materials:
-                bpy.data.materials.remove(material)
+            _remove(made)
             head.add_rest_position_attribute = kept
         elif obj is not None:
             obj.hide_set(hidden)
@@ -118,6 +114,19 @@ def make_curves(
     elif drawn is None:
         drawn = drawing(avatar, groom)()
     data = bpy.data.hair_curves.new(f"{head.name} strands")
+    obj = bpy.data.objects.new(data.name, data)
+    try:
+        _strand(data, head, drawn, settings or HairSettings())
+        _put_on(obj, head, groom)
+    except BaseException:
+        _remove(obj)
+        raise
+    head.add_rest_position_attribute = True
+    return obj
+
+
+def _strand(data: bpy.types.Curves, head: bpy.types.Object, drawn: Groom | None, settings: HairSettings) -> None:
+    """Give new curves their surface, strands, what these were made of, and a material."""
     data.surface, data.surface_uv_map = head, _uv_map(head)
     if drawn is not None:
         _fill(data, head, drawn)
@@ -125,21 +134,32 @@ def make_curves(
         for part, group in HELD.items():
             if group != LASHES or (drawn.groups == LASHES).any():  # usual ones, and those in Gaussians, stay what they are
                 data[f"{HELD_PREFIX}{part}"] = getattr(head.grmm.hair, part)
-    tinted = drawn is not None and drawn.tints is not None
-    data.materials.append(_material(data.name, head, settings or HairSettings(), tinted))
-    obj = bpy.data.objects.new(data.name, data)
-    for collection in head.users_collection:
-        collection.objects.link(obj)
+    data.materials.append(_material(data.name, head, settings, drawn is not None and drawn.tints is not None))
+
+
+def _put_on(obj: bpy.types.Object, head: bpy.types.Object, groom: Groom | None) -> None:
+    """Fasten a new object of curves to a head, with sliders and what deforms it."""
+    link_beside(obj, head)
     obj.parent = head
     obj.display_type = AS_SPLATS
     obj.lock_location = obj.lock_rotation = obj.lock_scale = (True, True, True)
-    head.add_rest_position_attribute = True
     points = int(groom.counts.max()) if groom is not None and len(groom) else _POINTS
     model = load_head(AssetReference(head.grmm.head_name))
     add_sliders(obj, head, points, Family.of(groom, np.asarray(model.v_template, float), np.asarray(model.faces)))
     modifier = obj.modifiers.new(MODIFIER_NAME, "NODES")
     modifier.node_group = _deform_group()
-    return obj
+
+
+def _remove(obj: bpy.types.Object) -> None:
+    """Remove curves that `make_curves` made, as far as it came, with what is theirs alone."""
+    data, materials, sliders = obj.data, list(obj.data.materials), obj.modifiers.get(SLIDERS)
+    nodes = None if sliders is None else sliders.node_group
+    bpy.data.objects.remove(obj)
+    bpy.data.hair_curves.remove(data)
+    if nodes is not None:
+        bpy.data.node_groups.remove(nodes)
+    for material in materials:
+        bpy.data.materials.remove(material)
 
 
 def drawing(avatar: Avatar, groom: Groom) -> Callable[[], Groom]:

@@ -14,6 +14,7 @@ from mathutils import Matrix, Vector
 
 from ...grmm_core.controls.control import Control, Limits
 from ...grmm_core.session import HEAD_TO_BLENDER
+from ..linking import link_beside
 from ..rig.armature import EXTRA, MECHANISM_COLLECTION, SHIFT_PREFIX, rest_joints
 from ..rig.avatar import Avatar, avatar_of, is_avatar
 from ..rig.custom_properties import add_property, property_path
@@ -137,8 +138,7 @@ def _new_target(avatar: Avatar) -> bpy.types.Object:
     target = bpy.data.objects.new(f"{avatar.object.name} Look At", None)
     target.empty_display_type, target.empty_display_size = "SPHERE", 0.03
     target[EXTRA] = LAYER
-    for collection in rig.users_collection:
-        collection.objects.link(target)
+    link_beside(target, rig)
     middle = sum((Vector(joint) for joint in rest_joints(rig)[3:].tolist()), Vector()) / 2
     target.location = rig.matrix_world @ Matrix(HEAD_TO_BLENDER.tolist()) @ (middle + Vector((0.0, 0.0, _AHEAD)))
     return target

@@ -11,6 +11,7 @@ from ...grmm_core.controls.table import ARRAYS, CONTROLS, EXPRESSIONS, SLIDERS, 
 from ...grmm_core.errors import FileFormatError, GrmmError
 from ...grmm_core.hair import SETTINGS
 from ...grmm_core.head import HeadModel
+from ..linking import link_beside
 from . import armature, drivers, live, mesh, repaint
 from .avatar import Avatar
 from .custom_properties import add_property
@@ -30,8 +31,7 @@ def build_avatar(context: bpy.types.Context, source: str, identity: Identity) ->
     head = identity.head
     rig = armature.make_armature(context, f"{identity.name} rig", head, identity.joints)
     obj = bpy.data.objects.new(identity.name, mesh.make_mesh(identity.name, identity))
-    for collection in rig.users_collection:
-        collection.objects.link(obj)
+    link_beside(obj, rig)
     add_properties(obj, identity)
     mesh.add_vertex_groups(obj, head)
     mesh.add_shape_keys(obj, identity)

@@ -90,6 +90,12 @@ def test_libraries_and_persons(saved):
     assert person["back"]["mesh"] < RIG_PARITY
     assert person["back"]["message"] == ""
 
+    collection = result["collection"]
+    assert all(hairy > 1.2 * bald for hairy, bald in collection["caches"]), collection["caches"]
+    assert collection["left"][0] == collection["left"][1]
+    assert collection["note"] == ""
+    assert collection["strands"][0] == collection["strands"][1]
+
     for case, right in result["elsewhere"].items():
         assert all(right), case
 

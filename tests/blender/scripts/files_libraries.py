@@ -154,9 +154,64 @@ def saved_elsewhere() -> dict:
     return found
 
 
+def in_a_collection() -> dict:
+    """Curves for a head whose collection is a library's, linked and then overridden."""
+    bpy.ops.wm.open_mainfile(filepath=str(library))
+    obj, people = avatars_in(bpy.context.scene)[0].object, bpy.data.collections.new("People")
+    bpy.context.scene.collection.children.link(people)
+    for part in (obj, obj.parent):
+        bpy.context.scene.collection.objects.unlink(part)
+        people.objects.link(part)
+    obj.grmm.hair.groom = "crop"
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "people.blend"))
+    scene = empty_scene()
+    use_weights(weights)
+    with bpy.data.libraries.load(str(folder / "people.blend"), link=True) as (_, here):
+        here.collections = ["People"]
+    people = here.collections[0]
+    scene.collection.children.link(people)
+    scene.frame_end = 2
+    caches = [cache_of(avatars_in(scene)[0], "linked.abc")]
+    people.override_hierarchy_create(scene, bpy.context.view_layer, do_fully_editable=True)
+    scene.collection.children.unlink(people)
+    avatar = avatars_in(scene)[0]
+    caches.append(cache_of(avatar, "overridden.usdc"))
+    left = [len(bpy.data.hair_curves), len(bpy.data.materials), len(bpy.data.objects)]
+    hair_build = module("grmm_blender.hair.build")
+    kept, hair_build.link_beside = hair_build.link_beside, None  # whatever fails
+    try:
+        hair_build.make_curves(avatar, None)
+    except TypeError:
+        left = [left, [len(bpy.data.hair_curves), len(bpy.data.materials), len(bpy.data.objects)]]
+    hair_build.link_beside = kept
+    bpy.context.view_layer.objects.active = avatar.object
+    bpy.ops.grmm.hair_as_curves(sculpt=False)
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "people_shot.blend"))
+    bpy.ops.wm.open_mainfile(filepath=bpy.data.filepath)
+    avatar = avatars_in(bpy.context.scene)[0]
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    drawn = module("grmm_blender.scene.avatars").DrawnAvatar(avatar, avatar.model_to_world(depsgraph)).shot(depsgraph)
+    count = len(module("grmm_core.hair").library_groom("crop"))
+    strands = 0 if drawn.strands is None else int((drawn.strands.groom.groups == 0).sum())
+    return {"caches": caches, "left": left, "note": drawn.note, "strands": [strands, count]}
+
+
+def cache_of(avatar, name: str) -> list[int]:
+    """Bytes of mesh caches of an avatar with its hair and without."""
+    bpy.context.view_layer.objects.active, hair = avatar.object, avatar.object.grmm.hair
+    sizes = []
+    for groom in ("crop", "NONE"):
+        hair.groom = groom
+        bpy.ops.grmm.export_cache(filepath=str(folder / name))
+        sizes.append((folder / name).stat().st_size)
+    hair.groom = "crop"
+    return sizes
+
+
 report(appended=appended())
 report(linked=linked())
 report(overridden=overridden())
 report(person=another_person())
 report(bad=bad_files())
 report(elsewhere=saved_elsewhere())
+report(collection=in_a_collection())

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..grmm_blender import session_host
 from ..grmm_blender.declare import Operator, choice, number, whole
+from ..grmm_blender.hair.curve_sliders import copy_shared, shared_with
 from ..grmm_blender.motion import face_bones
 from ..grmm_blender.rig import live
 from ..grmm_blender.rig.avatar import Avatar
@@ -252,14 +253,15 @@ def _padded(values: np.ndarray, size: int) -> np.ndarray:
 
 
 def _follower(context: bpy.types.Context) -> Avatar:
-    """The active avatar, whose mesh is another one's. Raises `UnavailableError`."""
+    """The active avatar, whose mesh or curves are another one's. Raises `UnavailableError`."""
     avatar = active_avatar(context)
-    require(avatar.mesh_owner not in (None, avatar.object), "This head has a mesh of its own")
+    follows = avatar.mesh_owner not in (None, avatar.object) or shared_with(avatar.object) is not None
+    require(follows, "This head has a mesh and hair of its own")
     return avatar
 
 
 class GRMM_OT_make_independent(Operator):
-    """Give this head a mesh of its own, so that its sliders move it and not the head it was duplicated from."""
+    """Give this head a mesh and curves of its own, which its sliders move and not those of the head it was duplicated from."""
 
     bl_label = "Make Independent"
 
@@ -267,9 +269,11 @@ class GRMM_OT_make_independent(Operator):
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> Result:
-        """Copy the mesh."""
+        """Copy the mesh, and the curves that are its hair."""
         avatar = _follower(context)
         make_independent(avatar)
+        copy_shared(avatar.object)
+        avatar.tag_edited()
         problem = live.limitation(avatar)
         if problem:
             raise GrmmError(problem)

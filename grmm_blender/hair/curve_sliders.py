@@ -13,6 +13,8 @@ import bpy
 from ...grmm_core.hair.roots import SCALP
 from ...grmm_core.hair.strands import CURL, FRIZZ
 from ...grmm_core.session import HEAD_TO_BLENDER
+from ..linking import link_beside
+from ..rig.avatar import is_avatar
 from .curve_children import Family, with_children
 from .node_fields import Nodes, Value
 
@@ -139,6 +141,31 @@ def claim(obj: bpy.types.Object, head: bpy.types.Object) -> bool:
             _follow(_others(copy.node_tree, head), head)
             changed = True
     return changed
+
+
+def shared_with(head: bpy.types.Object) -> bpy.types.Object | None:
+    """The head whose hair the curves of a head's hair are as well, after a duplicate that did not copy them; else None."""
+    curves = head.grmm.hair.curves
+    other = curves.data.surface if curves is not None and curves.type == "CURVES" else None
+    if other in (None, head) or not is_avatar(other):
+        return None
+    theirs = other.grmm.hair.curves
+    return other if theirs is not None and theirs.data == curves.data else None
+
+
+def copy_shared(head: bpy.types.Object) -> None:
+    """Give a head that shares the curves of its hair with another one curves of its own, as they are combed."""
+    other, obj = shared_with(head), head.grmm.hair.curves
+    if other is None:
+        return
+    if other.grmm.hair.curves == obj:
+        obj = obj.copy()
+        link_beside(obj, head)
+        obj.parent = head
+    obj.data = obj.data.copy()
+    obj.data.surface = head
+    head.grmm.hair.curves = obj
+    claim(obj, head)
 
 
 def _others(tree: bpy.types.NodeTree, head: bpy.types.Object) -> list[bpy.types.DriverTarget]:

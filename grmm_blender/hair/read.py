@@ -25,7 +25,7 @@ from ...grmm_core.hair.roots import BEARD, BROWS, GROUPS, LASHES, RootFrames
 from ...grmm_core.session import HEAD_TO_BLENDER
 from ..rig.identity import load_head
 from .curve_children import CHILD
-from .curve_sliders import MODIFIER_NAME, PART, follows_sliders, keeps_course
+from .curve_sliders import MODIFIER_NAME, PART, follows_sliders, keeps_course, shared_with
 from .strands import StrandShot
 
 DEFORM_NODE = "GeometryNodeDeformCurvesOnSurface"
@@ -130,6 +130,8 @@ def _read(
     surface = obj.data.surface
     if surface is None:
         raise ShapeError("The curves have no surface; choose this head as their surface, and its UV map.")
+    if shared_with(head.original) is not None:
+        raise ShapeError(f"The curves are the hair of {surface.name} as well and stand on it; make this head independent.")
     if surface.original != head.original:
         raise ShapeError(f"The curves stand on {surface.name}, not on this head; choose this head as their surface.")
     key, final = (obj.session_uid, depsgraph.mode == "RENDER"), depsgraph.mode == "RENDER"

@@ -6,6 +6,7 @@ import bpy
 
 from ...grmm_core.hair import SETTINGS
 from ..hair import message_of
+from ..hair.curve_sliders import shared_with
 from ..hair.grooms import NO_HAIR, PARTS, RANDOM_HAIR
 from ..properties import PHOTO_LIGHT, SCENE_LIGHT
 from ..rig.avatar import avatar_of
@@ -88,6 +89,8 @@ class GRMM_PT_hair(_LookPanel):
         message = message_of(settings.curves) if settings.curves is not None else ""
         if message:
             draw_text(layout, message, context, icon="ERROR")
+            if shared_with(avatar.object) is not None:
+                layout.operator("grmm.make_independent")
         column = layout.column()
         column.active = settings.curves is not None or settings.groom != NO_HAIR
         for setting in SETTINGS:

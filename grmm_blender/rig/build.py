@@ -145,8 +145,10 @@ def known_path(avatar: Avatar) -> str:
 
 
 def make_independent(avatar: Avatar) -> None:
-    """Give a linked duplicate a mesh of its own, driven by its own properties."""
+    """Give a linked duplicate a mesh of its own, driven by its own properties, unless it has one."""
     obj, owner = avatar.object, avatar.mesh_owner
+    if owner in (None, obj):
+        return
     obj.data = obj.data.copy()
     for curve in obj.data.shape_keys.animation_data.drivers:
         for variable in curve.driver.variables:

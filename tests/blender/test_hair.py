@@ -212,6 +212,12 @@ def test_brows_and_beard_become_curves_and_stay_what_they_are(hair_script):
     assert [found["shaved_use"], found["cut_use"]] == ["none", "none"]
     assert found["cut"] == [scalp, brows, 0, lashes]
     assert found["made_of"] == [False, True]
+    for case, seen in found["shared"].items():
+        assert "make this head independent" in seen["note"], case
+        assert not seen["polls"], case
+        assert seen["meshes"], case
+        assert seen["own"] == [True, True], case
+        assert seen["lengths"][1] == pytest.approx(0.5 * seen["lengths"][0], rel=0.03), case
     copied = found["duplicate"]
     assert copied["own"] == [True, True]
     (length, bright), (other_length, other_bright) = copied["first"], copied["second"]

@@ -142,3 +142,29 @@ left_rigs.remove()
 reports["left"] = sorted({obj.name for obj in bpy.data.objects} - before)
 reports["kept"] = sorted(before - {obj.name for obj in bpy.data.objects})
 report(duplicate=reports)
+
+# A linked duplicate shares mesh and curves until it is made independent; so does one that was duplicated without its curves.
+shared = {}
+for case, parts in {"linked": (rig, fitted, first.curves), "without curves": (rig, fitted)}.items():
+    for obj in bpy.context.selected_objects:
+        obj.select_set(False)
+    for obj in parts:
+        obj.select_set(True)
+    before = {obj.name for obj in bpy.data.objects}
+    bpy.ops.object.duplicate(linked=case == "linked")
+    copy = next(obj for obj in bpy.data.objects if obj.name not in before and obj.type == "MESH")
+    bpy.context.view_layer.objects.active = copy
+    bpy.context.view_layer.update()
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    wearer = avatars.Avatar(copy)
+    note = avatars.DrawnAvatar(wearer, wearer.model_to_world(depsgraph)).shot(depsgraph).note
+    bpy.ops.grmm.make_independent()
+    copy.grmm.hair.length = 0.5
+    bpy.context.view_layer.update()
+    curves = [obj.grmm.hair.curves for obj in (fitted, copy)]
+    shared[case] = {
+        "note": note, "polls": bpy.ops.grmm.make_independent.poll(), "meshes": fitted.data != copy.data,
+        "own": [one.data.surface == obj and one.parent == obj for one, obj in zip(curves, (fitted, copy), strict=True)],
+        "lengths": [drawn(fitted)[0], drawn(copy)[0]],
+    }  # fmt: skip
+report(shared=shared)

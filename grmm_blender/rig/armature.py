@@ -132,9 +132,10 @@ def root_offset(bone: bpy.types.PoseBone) -> Vector:
 
 
 def _collection(context: bpy.types.Context) -> bpy.types.Collection:
-    """The active collection, or the scene's own where the active one is hidden or linked (edit mode would fail there)."""
+    """The active collection, or the scene's own where the active one is hidden (edit mode would fail), linked or overridden."""
     layer = context.view_layer.active_layer_collection
-    usable = not layer.exclude and layer.is_visible and layer.collection.library is None
+    own = layer.collection.library is None and layer.collection.override_library is None
+    usable = not layer.exclude and layer.is_visible and own
     return layer.collection if usable else context.scene.collection
 
 

@@ -63,12 +63,14 @@ def cleanliness(shot: Shot, head: HeadModel) -> dict[str, float]:
 
     Returns:
         outside: Of the avatar's cover, what is neither on the mesh nor hair.
-        holes: Of the mesh's pixels, what shows the background.
+        holes: Of the pixels of the mesh's outer side, what shows the background. The inside of an open bust is not drawn.
         specks: Of the pixels of plain skin, those of another lightness than around them.
     """
-    mesh = triangle_depth(shot.vertices[head.faces], shot.camera) < EMPTY
+    corners = shot.vertices[head.faces]
+    outer = (face_normals(shot.vertices, head.faces) * (shot.camera.position - corners.mean(1))).sum(1) > 0
+    mesh, outside = (triangle_depth(some, shot.camera) < EMPTY for some in (corners, corners[outer]))
     reach = max(1, round(WIDENED * max(mesh.shape)))
-    near, inner = _widened(mesh | (shot.hair > STRANDS), reach), ~_widened(~mesh, reach)
+    near, inner = _widened(mesh | (shot.hair > STRANDS), reach), ~_widened(~outside, reach)
     parts = part_map(head, shot.vertices, shot.camera)[0]
     plain = np.isin(parts, [tuple(MESH_PARTS).index(name) for name in PLAIN]) & (shot.hair < STRANDS)
     plain = ~_widened(~plain, reach)

@@ -63,24 +63,12 @@ class Hiding:
             faces: Those that hide, [F, 3].
             camera: Of the picture.
         """
-        from .hidden_kernels import farthest_around, nearest_skin
+        from .hidden_kernels import farthest_around
 
-        size = max(camera.width, camera.height)
-        cell = max(CELL, size / _MAX_CELLS)
-        columns, rows = int(np.ceil(camera.width / cell)), int(np.ceil(camera.height / cell))
-        coarse = Camera(
-            camera.world_to_camera, camera.fx / cell, camera.fy / cell, camera.cx / cell, camera.cy / cell, columns, rows,
-            orthographic=camera.orthographic,
-        )  # fmt: skip
-        vertices, place = np.asarray(vertices), coarse.world_to_camera
-        numbers = np.concatenate([
-            place[:3, :3].ravel(), place[:3, 3], (coarse.fx, coarse.fy, coarse.cx, coarse.cy, coarse.orthographic, _NEAR),
-        ])  # fmt: skip
-        depth = np.empty((rows, columns), np.float32)
-        if not nearest_skin(vertices, faces, numbers, float(EMPTY), depth):
-            depth = triangle_depth(vertices[faces], coarse)  # which cuts what reaches behind the camera
+        depth, cell = coarse_depth(vertices, faces, camera)
         result = np.empty_like(depth)
-        farthest_around(depth, float(EMPTY), 1.0 / float(np.cbrt(np.linalg.det(place[:3, :3]))), result)
+        size = float(np.cbrt(np.linalg.det(camera.world_to_camera[:3, :3])))
+        farthest_around(depth, float(EMPTY), 1.0 / size, result)
         return Hiding(result, cell, -camera.cx, -camera.cy)
 
     @property
@@ -101,6 +89,27 @@ class Hiding:
             hide(shown[low:high], self.depth, *self.cells, np.float32(slack), seen[low:high])
 
         for_rows(some, len(shown))
+
+
+def coarse_depth(vertices: np.ndarray, faces: np.ndarray, camera: Camera) -> tuple[np.ndarray, float]:
+    """Depth of triangles in coarse cells of a camera's picture, [H, W] metres, `EMPTY` where none is; and a cell's pixels."""
+    from .hidden_kernels import nearest_skin
+
+    size = max(camera.width, camera.height)
+    cell = max(CELL, size / _MAX_CELLS)
+    columns, rows = int(np.ceil(camera.width / cell)), int(np.ceil(camera.height / cell))
+    coarse = Camera(
+        camera.world_to_camera, camera.fx / cell, camera.fy / cell, camera.cx / cell, camera.cy / cell, columns, rows,
+        orthographic=camera.orthographic,
+    )  # fmt: skip
+    vertices, place = np.asarray(vertices), coarse.world_to_camera
+    numbers = np.concatenate([
+        place[:3, :3].ravel(), place[:3, 3], (coarse.fx, coarse.fy, coarse.cx, coarse.cy, coarse.orthographic, _NEAR),
+    ])  # fmt: skip
+    depth = np.empty((rows, columns), np.float32)
+    if not nearest_skin(vertices, faces, numbers, float(EMPTY), depth):
+        depth = triangle_depth(vertices[faces], coarse)  # which cuts what reaches behind the camera
+    return depth, cell
 
 
 def _placed(points: np.ndarray, eye: np.ndarray) -> np.ndarray:

@@ -248,8 +248,7 @@ def _gaussians(
                 evaluator, item.target, item.inputs, item.worn, local_camera, options.lod, options.strands, hiding=hiding
             )
         own = evaluator.gaussians(item.target, item.inputs, direction, options.lod, cap, lit)
-        hidden_from = functools.partial(wardrobe.hiding, evaluator, item.target, item.inputs)
-        own = without_inside(own, evaluator, item.target, item.inputs, options.lod, local_camera, hidden_from)
+        own = without_inside(own, evaluator, item.target, item.inputs, options.lod, local_camera)
     count = len(own)
     features = own.features
     if item.model is not None and item.model.config.antialias:

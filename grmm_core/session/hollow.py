@@ -8,23 +8,24 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
 
 import numpy as np
 
 from ..geometry.camera import Camera
 from ..geometry.libraries import as_like, to_numpy
-from ..hair.drawing import Hiding
-from ..hair.ribbons import Eye
+from ..hair.drawing import coarse_depth
 from ..light.resting import Texels
 from ..light.transfer import vertex_normals
 from ..splat import Gaussians
 from .evaluator import Evaluator, Inputs, OpenAvatar
 
+SKIN_ISLAND = 0  # of the UV map: skin hides hair, eyes and teeth are behind it
 BACK = (-0.2, 0.0)  # cosine between the skin's normal and the way to the eye: gone below the first, whole above the second
 _BUST = "neck"
 _PIXELS = 288  # of the picture of the bust that says what has skin before it: its cells are 6 mm of a bust
-_RINGS = 2  # of vertices beyond those that are seen
+_BESIDE = 1  # such cell beside which skin is before a place as well: outlines of necks stay
+_BEFORE = 0.02  # metres
+_RINGS = 3  # of vertices beyond those that are seen
 _NEAREST = 0.05  # metres: of a bust that is nearer to the eye, nothing is left out for being behind skin
 
 
@@ -35,8 +36,7 @@ def from_far(view: np.ndarray) -> Camera:
 
 
 def without_inside(
-    own: Gaussians, evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, lod: int, camera: Camera,
-    hidden_from: Callable[[Camera], Hiding],
+    own: Gaussians, evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, lod: int, camera: Camera
 ) -> Gaussians:  # fmt: skip
     """Return Gaussians without the inside of the bust that a camera would see.
 
@@ -47,39 +47,51 @@ def without_inside(
         inputs: Of this frame.
         lod: Level of detail of `own`.
         camera: In head space.
-        hidden_from: What skin hides from a camera.
     """
-    bust, faces, rows = evaluator.cache.get((target.id, "bust"), lambda: _parts(target, evaluator.texels(target)))
+    texels = evaluator.texels(target)
+    bust, faces, rows, skin = evaluator.cache.get((target.id, "bust"), lambda: _parts(target, texels))
     vertices = to_numpy(evaluator.mesh(target, inputs).vertices)
     normals, here = vertex_normals(vertices, target.model.head_model.faces)[bust], vertices[bust]
     towards = -camera.forward if camera.orthographic else camera.position - here
     cosine = (normals * towards).sum(1) / np.linalg.norm(towards, axis=-1).clip(1e-9)
     share = np.clip((cosine - BACK[0]) / (BACK[1] - BACK[0]), 0.0, 1.0)
-    bare = np.ones(len(here), np.float32)
-    near = _on_bust(camera, here)
-    if near is not None:
-        hidden_from(near).hide(np.ascontiguousarray(here, np.float32), Eye.of(near).numbers(), bare)
     hollow = np.zeros(len(vertices), bool)
-    hollow[bust] = (bare > 0) & (share < 1.0)
+    hollow[bust] = (share < 1.0) & _is_bare(here, vertices, skin, camera)
     if not hollow.any():
         return own
     for _ in range(_RINGS):  # up behind the edge; farther behind skin, it closes what gaps that has
         hollow[faces[hollow[faces].any(1)]] = True
     seen = np.ones(len(vertices), np.float32)
     seen[bust] = np.where(hollow[bust], share * share * (3.0 - 2.0 * share), 1.0)
-    texels = evaluator.texels(target)
     left = np.ones(len(texels.corners), np.float32)
     left[rows] = (texels.barycentric[rows] * seen[texels.corners[rows]]).sum(1)
     left = left if lod == 0 else left[evaluator.blocks(target, lod).middle]
     return dataclasses.replace(own, opacities=own.opacities * as_like(left, own.opacities))
 
 
-def _parts(target: OpenAvatar, texels: Texels) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices of the bust, the faces at them, and the numbers of the texels on these."""
+def _parts(target: OpenAvatar, texels: Texels) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices of the bust, the faces at them, the numbers of the texels on these; and all faces of skin."""
     head = target.model.head_model
-    bust = head.marked(_BUST)
+    bust, skin = head.marked(_BUST), np.asarray(head.uv_islands) == SKIN_ISLAND
     touched = bust[head.faces].any(1)
-    return np.flatnonzero(bust), head.faces[touched], np.flatnonzero(touched[texels.face])
+    return np.flatnonzero(bust), head.faces[touched], np.flatnonzero(touched[texels.face]), np.asarray(head.faces)[skin]
+
+
+def _is_bare(here: np.ndarray, vertices: np.ndarray, skin: np.ndarray, camera: Camera) -> np.ndarray:
+    """Whether places on the bust [K, 3] have no skin before them nor close beside that, [K] bool."""
+    near = _on_bust(camera, here)
+    if near is None:
+        return np.ones(len(here), bool)
+    depth, cell = coarse_depth(vertices, skin, near)
+    for axis in (0, 1):
+        wide = np.pad(depth, [(_BESIDE, _BESIDE) if axis == k else (0, 0) for k in (0, 1)], mode="edge")
+        depth = np.lib.stride_tricks.sliding_window_view(wide, 2 * _BESIDE + 1, axis).min(-1)
+    local, pixels = near.project(here)
+    column, row = (pixels // cell).astype(int).T
+    size = float(np.cbrt(np.linalg.det(near.world_to_camera[:3, :3])))
+    nearest = depth[row.clip(0, len(depth) - 1), column.clip(0, depth.shape[1] - 1)]
+    result: np.ndarray = local[:, 2] < nearest + _BEFORE * size
+    return result
 
 
 def _on_bust(camera: Camera, here: np.ndarray) -> Camera | None:

@@ -7,7 +7,6 @@ Grooms are made ready once (`hair.strands`), posed once for each mesh, and turne
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from typing import TypeVar
@@ -37,7 +36,7 @@ from ..splat.types import Gaussians
 from .cap import Cap
 from .engines import Engine
 from .evaluator import FRONT, Evaluator, Inputs, OpenAvatar, at_rest
-from .hollow import from_far, without_inside
+from .hollow import SKIN_ISLAND, from_far, without_inside
 from .photo_skin import as_found, still_there
 from .scalp import Covered, Skin, bare_skin, cap_color, covered, shade, shadow
 from .wearing import GROOM_PREFIX, NO_HAIR, OWN_HAIR, PARTS, PUT_PREFIX, RANDOM_PREFIX, USUAL, HairUse
@@ -46,7 +45,6 @@ EXPORT_DENSITY = 1000.0  # pixels per metre for which Gaussians are made where t
 READY = 12  # grooms that are kept ready
 _COVERED: Recent[Covered] = Recent(3)  # by contents: a fit opens its person several times
 Kept = TypeVar("Kept")
-_HIDING_ISLAND = 0  # of the UV map: the skin hides hair, eyes and teeth are behind it
 
 
 @dataclass(frozen=True)
@@ -278,7 +276,7 @@ class Wardrobe:
     def hiding(self, evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, camera: Camera) -> Hiding:
         """What a head's skin hides from a camera in head space."""
         head = target.model.head_model
-        skin = np.asarray(head.faces)[np.asarray(head.uv_islands) == _HIDING_ISLAND]
+        skin = np.asarray(head.faces)[np.asarray(head.uv_islands) == SKIN_ISLAND]
         return Hiding.of(to_numpy(evaluator.mesh(target, inputs).vertices), skin, camera)
 
     def dressed(
@@ -292,8 +290,7 @@ class Wardrobe:
         cap = None if worn is None else self.cap(evaluator, target, inputs, worn)
         own = evaluator.gaussians(target, inputs, direction, lod, cap)
         if view is not None:
-            hidden_from = functools.partial(self.hiding, evaluator, target, inputs)
-            own = without_inside(own, evaluator, target, inputs, lod, from_far(view), hidden_from)
+            own = without_inside(own, evaluator, target, inputs, lod, from_far(view))
         strands = None if worn is None else self.gaussians(evaluator, target, inputs, worn, None, lod, direction=direction)
         if strands is None or own.features is None:
             return own

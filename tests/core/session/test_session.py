@@ -291,18 +291,17 @@ def test_less_detail_keeps_the_head_whole(session, avatar):
 
 
 def test_gaussians_draw_the_raw_picture(session, avatar):
-    """What `gaussians` returns is what `render` draws, here from far, where a direction says all: by the readable reference."""
+    """What `gaussians` returns is what `render` draws: rasterised here by the readable reference."""
     import torch
 
     from grmm_core.splat import Gaussians, rasterize
 
     controls = Controls().set_named({"jawOpen": 0.4})
-    camera = Camera.orbit(SIZE, SIZE, distance=40.0, fov=0.5)
-    found = session.gaussians(avatar.id, controls, camera.view_direction(np.zeros(3)), features=True)
+    found = session.gaussians(avatar.id, controls, CAMERA.view_direction(np.zeros(3)), features=True)
     assert found.features.shape == (avatar.gaussian_count, avatar.feature_count)
     parts = [torch.from_numpy(array) for array in found]
-    drawn = rasterize(Gaussians(*parts), camera, backend="torch")
-    passes = all_passes(session, [Instance(avatar.id, controls)], camera)
+    drawn = rasterize(Gaussians(*parts), CAMERA, backend="torch")
+    passes = all_passes(session, [Instance(avatar.id, controls)])
     np.testing.assert_allclose(passes["raw"], drawn.rgb.numpy(), **MOVED)
     np.testing.assert_allclose(passes["features"], drawn.features.numpy(), **MOVED)
 

@@ -43,19 +43,19 @@ def ball(count: int = 2000, terms: int = 1, seed: int = 1, radius: float = 0.08)
     return CloudArrays(means, quats / np.linalg.norm(quats, axis=1, keepdims=True), scales, np.full(count, 0.95), harmonics)
 
 
-def draw(session, instances, passes=("rgb", "alpha"), camera=CAMERA, **options):
-    return session.render(instances, camera, RenderOptions(passes=passes, **options))
+def draw(session, instances, passes=("rgb", "alpha"), **options):
+    return session.render(instances, CAMERA, RenderOptions(passes=passes, **options))
 
 
 def test_an_avatars_own_gaussians_come_back_as_the_same_picture(session):
-    avatar, camera = session.open("default"), Camera.orbit(SIZE, SIZE, distance=40.0, fov=0.5)
-    wanted = draw(session, [Instance(avatar.id)], ("raw", "alpha", "depth"), camera)
-    found = session.gaussians(avatar.id, Controls(), camera.view_direction(np.zeros(3)))
+    avatar = session.open("default")
+    wanted = draw(session, [Instance(avatar.id)], ("raw", "alpha", "depth"))
+    found = session.gaussians(avatar.id, Controls(), CAMERA.view_direction(np.zeros(3)))
     harmonics = (found.colors[:, None] - 0.5) / harmonic_basis(np.array([[0.0, 0.0, 1.0]]), 0)[0, 0]
     cloud = session.put_cloud(
         "copy", "1", CloudArrays(found.means, found.quats, found.scales, found.opacities.clip(0, 1), harmonics)
     )
-    drawn = draw(session, [Instance(cloud)], ("rgb", "raw", "alpha", "depth"), camera)
+    drawn = draw(session, [Instance(cloud)], ("rgb", "raw", "alpha", "depth"))
     np.testing.assert_allclose(drawn["alpha"], wanted["alpha"], **SAME)
     np.testing.assert_allclose(drawn["raw"], wanted["raw"], rtol=0.0, atol=0.02)
     np.testing.assert_array_equal(drawn["rgb"], drawn["raw"])  # no network touches it

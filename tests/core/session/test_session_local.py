@@ -139,19 +139,18 @@ def test_weights_trained_with_antialiasing_are_drawn_with_it(tmp_path, count):
     from grmm_core.splat import Gaussians, rasterize
 
     path = write_tiny_weights(tmp_path / "weights.safetensors", antialias=True, texel_scale=0.15)
-    camera = Camera.orbit(SIZE, SIZE, distance=40.0, fov=0.5)  # both are seen from one direction
     with create_session("local", weights=path) as session:
         avatar = session.open("default").id
-        own = session.gaussians(avatar, Controls(), camera.view_direction(np.zeros(3)))
+        own = session.gaussians(avatar, Controls())
         placed = [Instance(avatar, model_to_world=moved(0.4 * number)) for number in range(count)]
-        alpha = session.render(placed, camera, RenderOptions(passes=("alpha",), refine=False))["alpha"][..., 0]
+        alpha = session.render(placed, CAMERA, RenderOptions(passes=("alpha",), refine=False))["alpha"][..., 0]
     parts = [torch.as_tensor(part) for part in (own.means, own.quats, own.scales, own.opacities, own.colors)]
     both = [
         Gaussians(parts[0] + torch.tensor([0.4 * number, 0.0, 0.0]), *parts[1:])
         for number in range(count)
     ]  # fmt: skip
     compensated, swollen = (
-        rasterize(Gaussians.concatenate(both), camera, antialiased=kept).alpha.numpy() for kept in (True, False)
+        rasterize(Gaussians.concatenate(both), CAMERA, antialiased=kept).alpha.numpy() for kept in (True, False)
     )
     np.testing.assert_allclose(alpha, compensated, atol=2e-3)
     assert np.abs(alpha - swollen).max() > 0.05

@@ -23,7 +23,6 @@ SKIN_ISLAND = 0  # of the UV map: skin hides hair, eyes and teeth are behind it
 BACK = (-0.2, 0.0)  # cosine between the skin's normal and the way to the eye: gone below the first, whole above the second
 _BUST = "neck"
 _PIXELS = 288  # of the picture of the bust that says what has skin before it: its cells are 6 mm of a bust
-_BESIDE = 1  # such cell beside which skin is before a place as well: outlines of necks stay
 _BEFORE = 0.02  # metres
 _RINGS = 3  # of vertices beyond those that are seen
 _NEAREST = 0.05  # metres: of a bust that is nearer to the eye, nothing is left out for being behind skin
@@ -49,7 +48,7 @@ def without_inside(
         camera: In head space.
     """
     texels = evaluator.texels(target)
-    bust, faces, rows, skin = evaluator.cache.get((target.id, "bust"), lambda: _parts(target, texels))
+    bust, faces, skin, rows, corners, barycentric = evaluator.cache.get((target.id, "bust"), lambda: _parts(target, texels))
     vertices = to_numpy(evaluator.mesh(target, inputs).vertices)
     normals, here = vertex_normals(vertices, target.model.head_model.faces)[bust], vertices[bust]
     towards = -camera.forward if camera.orthographic else camera.position - here
@@ -64,28 +63,29 @@ def without_inside(
     seen = np.ones(len(vertices), np.float32)
     seen[bust] = np.where(hollow[bust], share * share * (3.0 - 2.0 * share), 1.0)
     left = np.ones(len(texels.corners), np.float32)
-    left[rows] = (texels.barycentric[rows] * seen[texels.corners[rows]]).sum(1)
+    left[rows] = np.einsum("nk,nk->n", barycentric, seen[corners])
     left = left if lod == 0 else left[evaluator.blocks(target, lod).middle]
     return dataclasses.replace(own, opacities=own.opacities * as_like(left, own.opacities))
 
 
-def _parts(target: OpenAvatar, texels: Texels) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices of the bust, the faces at them, the numbers of the texels on these; and all faces of skin."""
+def _parts(target: OpenAvatar, texels: Texels) -> tuple[np.ndarray, ...]:
+    """Vertices of the bust, the faces at them, all faces of skin; numbers of the texels on the former, and where they lie."""
     head = target.model.head_model
     bust, skin = head.marked(_BUST), np.asarray(head.uv_islands) == SKIN_ISLAND
     touched = bust[head.faces].any(1)
-    return np.flatnonzero(bust), head.faces[touched], np.flatnonzero(touched[texels.face]), np.asarray(head.faces)[skin]
+    rows = np.flatnonzero(touched[texels.face])
+    faces = np.asarray(head.faces)
+    return np.flatnonzero(bust), faces[touched], faces[skin], rows, texels.corners[rows], texels.barycentric[rows]
 
 
 def _is_bare(here: np.ndarray, vertices: np.ndarray, skin: np.ndarray, camera: Camera) -> np.ndarray:
-    """Whether places on the bust [K, 3] have no skin before them nor close beside that, [K] bool."""
+    """Whether places on the bust [K, 3] have no skin before them nor a cell beside that, [K] bool: outlines of necks stay."""
     near = _on_bust(camera, here)
     if near is None:
         return np.ones(len(here), bool)
     depth, cell = coarse_depth(vertices, skin, near)
-    for axis in (0, 1):
-        wide = np.pad(depth, [(_BESIDE, _BESIDE) if axis == k else (0, 0) for k in (0, 1)], mode="edge")
-        depth = np.lib.stride_tricks.sliding_window_view(wide, 2 * _BESIDE + 1, axis).min(-1)
+    for _ in range(2):  # along both axes
+        depth = np.minimum(depth, np.minimum(np.vstack([depth[:1], depth[:-1]]), np.vstack([depth[1:], depth[-1:]]))).T
     local, pixels = near.project(here)
     column, row = (pixels // cell).astype(int).T
     size = float(np.cbrt(np.linalg.det(near.world_to_camera[:3, :3])))

@@ -21,6 +21,7 @@ from .evaluator import Evaluator, Inputs, OpenAvatar
 
 SKIN_ISLAND = 0  # of the UV map: skin hides hair, eyes and teeth are behind it
 BACK = (-0.2, 0.0)  # cosine between the skin's normal and the way to the eye: gone below the first, whole above the second
+BELOW = (-0.62, -0.47)  # height of the eye, of its distance: from 38 degrees below one would look into the head, from 28 not
 _BUST = "neck"
 _PIXELS = 288  # of the picture of the bust that says what has skin before it: its cells are 6 mm of a bust
 _BEFORE = 0.02  # metres
@@ -54,6 +55,8 @@ def without_inside(
     towards = -camera.forward if camera.orthographic else camera.position - here
     cosine = (normals * towards).sum(1) / np.linalg.norm(towards, axis=-1).clip(1e-9)
     share = np.clip((cosine - BACK[0]) / (BACK[1] - BACK[0]), 0.0, 1.0)
+    open_to = np.clip((camera.view_direction(np.zeros(3))[1] - BELOW[0]) / (BELOW[1] - BELOW[0]), 0.0, 1.0)
+    share = 1.0 - open_to * (1.0 - share)
     hollow = np.zeros(len(vertices), bool)
     hollow[bust] = (share < 1.0) & _is_bare(here, vertices, skin, camera)
     if not hollow.any():

@@ -51,6 +51,15 @@ def test_nothing_is_seen_of_the_inside(session, angles, parallel, lod):
     assert alpha[skin].mean() > 0.97
 
 
+def test_from_far_below_nobody_looks_into_the_head(session):
+    """Without the front's inside, the face was seen from within."""
+    avatar, camera = session.open("library:grey"), Camera.orbit(160, 160, 180.0, -45.0, distance=1.15, fov=24.0)
+    inside, _ = sides(camera, session.deform(avatar.id, Controls()).vertices)
+    assert inside.sum() > 60
+    alpha = session.render([Instance(avatar.id, hair=BARE)], camera, RenderOptions(False, ("alpha",)))["alpha"][..., 0]
+    assert alpha[inside].mean() > 0.9
+
+
 def test_who_looks_from_one_side_gets_that_side_and_exports_have_all(session):
     avatar = session.open("library:grey")
     everything = session.gaussians(avatar.id, Controls(), hair=BARE)

@@ -34,10 +34,10 @@ from ..grmm_core.session import (
     has_plain_engine,
     has_torch,
 )
+from ..grmm_core.session.sources import SAMPLE_PREFIX
 
 _log = logging.getLogger(__name__)
 
-SAMPLE_PREFIX = "sample:"
 NO_RUNTIME = (
     "This zip of GRMM carries no libraries for drawing; install the one for this platform and Blender, or choose a Python with "
     "torch in the preferences of the extension."

@@ -11,10 +11,10 @@ from ..grmm_blender.declare import Operator, choice, flag, text, whole
 from ..grmm_blender.rig.avatar import stored_path
 from ..grmm_blender.rig.build import build_avatar
 from ..grmm_blender.rig.identity import DEFAULT_SOURCE, read_identity
-from ..grmm_blender.session_host import SAMPLE_PREFIX
 from ..grmm_core.avatar import EXTENSION
 from ..grmm_core.avatar.library import DEFAULT_NAME, LIBRARY_PREFIX, library_names
 from ..grmm_core.errors import FileAccessError
+from ..grmm_core.session.sources import SAMPLE_PREFIX
 from .common import OperatorMixin, Result, check_object_mode, menu_entries, polls, reports_errors
 from .importing import ImportsFiles, TakesDrops
 

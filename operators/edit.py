@@ -11,7 +11,6 @@ from typing import ClassVar
 import bpy
 import numpy as np
 
-from ..grmm_blender import session_host
 from ..grmm_blender.declare import Operator, choice, number, whole
 from ..grmm_blender.hair.curve_sliders import copy_shared, shared_with
 from ..grmm_blender.motion import face_bones
@@ -25,6 +24,7 @@ from ..grmm_core.avatar import AssetReference
 from ..grmm_core.controls.control import Control, is_sideways, mirrored, side_of
 from ..grmm_core.controls.table import EXPRESSION, EXPRESSIONS, JOINTS, REGIONS, SECTIONS, SHAPE, Z_ID
 from ..grmm_core.errors import GrmmError
+from ..grmm_core.session.sources import SAMPLE_PREFIX
 from .common import OperatorMixin, Result, active_avatar, polls, reports_errors, require
 
 ALL = "ALL"
@@ -235,7 +235,7 @@ class GRMM_OT_random_identity(DrawsAnother, Edit, Operator):
         names = [SHAPE]
         if avatar.has_network:
             # As the session draws a "sample:SEED", without asking it: it may be busy with a picture, or not be there.
-            person, own = read_identity(f"{session_host.SAMPLE_PREFIX}{self.seed}"), read_identity(avatar.source)
+            person, own = read_identity(f"{SAMPLE_PREFIX}{self.seed}"), read_identity(avatar.source)
             shape = _padded(person.shape, shape.size) - _padded(own.shape, shape.size)
             alike = set(own.weights) & set(person.weights) and len(avatar.object[Z_ID]) == person.z_id_size
             if alike and person.z_id is not None and own.z_id is not None:

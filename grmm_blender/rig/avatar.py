@@ -19,7 +19,7 @@ from ...grmm_core.controls.frame import Controls
 from ...grmm_core.controls.names import JOINT_NAMES
 from ...grmm_core.controls.table import ARRAYS, EXPRESSIONS, SLIDERS
 from ...grmm_core.session import HEAD_TO_BLENDER
-from ..session_host import SAMPLE_PREFIX
+from ...grmm_core.session.sources import SAMPLE_PREFIX
 from ..windows import redraw
 from ..wrapper import ObjectWrapper
 from .armature import DRIVEN_PREFIX, ROOT, local_rotation, root_offset

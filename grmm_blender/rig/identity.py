@@ -21,6 +21,7 @@ from ...grmm_core.head import HeadModel, load_flame, load_open_head
 from ...grmm_core.model.parameters import code_sizes
 from ...grmm_core.model.people import sampled_avatar
 from ...grmm_core.model.weights_file import read_weights, resolve_weights
+from ...grmm_core.session.sources import SAMPLE_PREFIX
 from .. import session_host
 
 DEFAULT_SOURCE = "default"
@@ -96,7 +97,7 @@ def read_identity(source: str) -> Identity:
         FileAccessError, FileFormatError: The file is missing, damaged, or of a head model that is not installed.
     """
     source = avatar_file(source)
-    if source.startswith(session_host.SAMPLE_PREFIX):
+    if source.startswith(SAMPLE_PREFIX):
         return _random_person(source)
     if source.startswith(FLAME_PREFIX):
         head = load_head(AssetReference(source))
@@ -119,7 +120,7 @@ def _random_person(source: str) -> Identity:
     weights = read_weights(resolve_weights(session_host.settings().weights or None)).info
     head = load_head(AssetReference(weights.head_name))
     sizes = code_sizes(weights.config, head)
-    person = sampled_avatar(weights, sizes[1], int(source.removeprefix(session_host.SAMPLE_PREFIX)))
+    person = sampled_avatar(weights, sizes[1], int(source.removeprefix(SAMPLE_PREFIX)))
     return Identity(
         person.name, head, person.shape[: head.shape_count], z_id_size=sizes[0], z_exp_size=sizes[1], z_id=person.z_id,
         weights=(weights.sha256, *weights.continued),
@@ -134,7 +135,7 @@ def avatar_file(source: str) -> str:
 def own_hair(source: str) -> Hair | None:
     """Return the strands that an avatar has of its own, None where its hair is in its Gaussians. Raises as `read_identity`."""
     file = avatar_file(source)
-    return None if file.startswith((session_host.SAMPLE_PREFIX, FLAME_PREFIX)) else load_avatar(file).hair
+    return None if file.startswith((SAMPLE_PREFIX, FLAME_PREFIX)) else load_avatar(file).hair
 
 
 def load_head(reference: AssetReference) -> HeadModel:

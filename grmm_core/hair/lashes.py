@@ -20,6 +20,9 @@ LASH_CARD_ROWS = 4  # quads across a lash card
 SEAM_LIFT = np.array([0.0, 0.0003, 0.0007])  # metres from the lower lid's lash roots to those of a shut upper lid
 SHUT = 0.0015  # metres of overlap at which a lid counts as shut
 DROOP = 0.35  # of a lash's length that its tip sinks on a shut lid
+# metres that drawn lashes stand before their lids and towards the opening of the eye, those of lower lids half as far: skin of
+# Gaussians, as thick as texels, hides the first millimetre of what stands on the mesh's edge, and that lid has a pale rim
+BEFORE, TOWARDS = 0.0004, 0.0005
 HANG = 0.25  # how steeply the lashes of a shut lid hang at least, of how far they reach
 
 
@@ -178,6 +181,12 @@ class Lashes:
         reach = np.linalg.norm(offsets - rise[..., None] * upwards, axis=2)
         offsets -= (shut[:, None] * np.maximum(rise + HANG * reach, 0.0))[..., None] * upwards
         return (roots + shift)[:, None] + offsets
+
+    def drawn_points(self, vertices: np.ndarray) -> np.ndarray:
+        """Likewise before skin of Gaussians, whose lids are thicker than the mesh's, [N, K, 3]."""
+        upwards = np.array([0.0, 1.0, 0.0]) @ rigid(self.rest, vertices[np.concatenate(list(self.seams.values()))])
+        towards = TOWARDS * np.where(self.upper, -1.0, 0.5)[:, None] * upwards
+        return self.points(vertices) + (BEFORE * self._directions(vertices) + towards)[:, None]
 
     def edge_points(self, vertices: np.ndarray) -> np.ndarray:
         """Where lashes begin on the edges of their cards, on a head [V, 3], [N, 3]."""

@@ -387,7 +387,7 @@ class Wardrobe:
             return Lashes.build(head, np.asarray(head.v_template, float), some)
 
         lashes = _kept(self._lashes, (*layer.key, head.name, *settings.shape_key), make)
-        return points if lashes is None else lashes.points(vertices.astype(float)).astype(np.float32)
+        return points if lashes is None else lashes.drawn_points(vertices.astype(float)).astype(np.float32)
 
 
 def random_hair(seed: int) -> Hair:

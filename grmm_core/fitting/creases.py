@@ -27,6 +27,7 @@ FEATURES = ("lips", "lids", "brows")
 STRAIN = (0.08, 0.25)  # share by which skin is stretched or folded: below the first nothing is a crease, above the second all
 DEEP_STRAIN = (0.015, 0.05)  # likewise of dark folds, as beside a nose: the photo's light throws their shadow
 DEEP, FOLD_TEXELS = (0.03, 0.08), 1.5  # how dark these are beside the skin around, smoothed over so many texels
+STRONG, SOFT_TEXELS = (0.1, 0.25), 0.7  # folds so strong are smoothed over so many texels
 OWN_STRAIN = (0.03, 0.12)  # likewise where other photos show the skin otherwise
 OWN_TEXELS = 16.0  # length below which that is a fold
 MOST_BROUGHT = 1.0  # of what a photo shows otherwise than others: no trained expression brings more of it
@@ -132,13 +133,59 @@ def crease_colors(surface: Surface, colors: Tensor, strain: Tensor, features: Te
         strain: `strained` at the texels, [N].
         features: Lips, lids and brows, [N] bool: their detail is the person's.
     """
-    plain = ((surface.group == SKIN) & ~features).to(colors)[:, None]
-    around = surface.smooth(colors * plain, WIDTH_TEXELS) / surface.smooth(plain, WIDTH_TEXELS).clamp(min=1e-3)
-    detail = colors - around
+    detail, plain = skin_detail(surface, colors, features), plain_skin(surface, features)
     lasting = PORES * torch.tanh(detail / PORES)
     deep = share_of(-surface.smooth(detail, FOLD_TEXELS).mean(1), DEEP)
     share = torch.maximum(share_of(strain), deep * share_of(strain, DEEP_STRAIN))
     return (1.0 - STAYS) * (share * _away(surface, plain))[:, None] * (detail - lasting)
+
+
+def plain_skin(surface: Surface, features: Tensor) -> Tensor:
+    """1 on skin but lips, lids and brows, [N, 1]."""
+    return ((surface.group == SKIN) & ~features).to(surface.degrees)[:, None]
+
+
+def skin_detail(surface: Surface, colors: Tensor, features: Tensor) -> Tensor:
+    """What of colors [N, 3] stands out from the plain skin around, [N, 3]; 0 elsewhere."""
+    plain = plain_skin(surface, features)
+    around = surface.smooth(colors * plain, WIDTH_TEXELS) / surface.smooth(plain, WIDTH_TEXELS).clamp(min=1e-3)
+    return (colors - around) * plain
+
+
+def soft_folds(surface: Surface, colors: Tensor, strain: Tensor, features: Tensor) -> Tensor:
+    """Colors [N, 3] within what screens show, with strong folds smoothed along the surface.
+
+    A fold is a line of a texel or two: oblique to their rows it is one of dark and light texels in turn, from near a comb.
+
+    Args:
+        surface: Texels.
+        colors: As the photos show them.
+        strain: `strained` at the texels, [N].
+        features: Lips, lids and brows, [N] bool.
+    """
+    plain = plain_skin(surface, features)
+    colors = torch.where(plain > 0.0, colors.clamp(0.0, 1.0), colors)
+    detail = skin_detail(surface, colors, features)
+    depth = surface.smooth(detail.mean(1, keepdim=True).abs(), FOLD_TEXELS)[:, 0]
+    share = share_of(depth, STRONG) * share_of(strain, DEEP_STRAIN)
+    return colors + share[:, None] * plain * (surface.smooth(detail, SOFT_TEXELS) - detail)
+
+
+def folds_brought(
+    surface: Surface, maps: ExpressionMaps, z_id: Tensor, resting: Tensor, shown: Sequence[Tensor], features: Tensor
+) -> Tensor:  # fmt: skip
+    """Folds that the trained expression maps bring to plain skin with each photo's expression, [P, N, 3].
+
+    Args:
+        surface: Texels.
+        maps: The trained ones.
+        z_id: Of the person, [Z].
+        resting: z_exp of the face at rest, [Y].
+        shown: Of each photo, [Y].
+        features: Lips, lids and brows, [N] bool.
+    """
+    rest = maps(z_id, resting)
+    return torch.stack([skin_detail(surface, maps(z_id, one) - rest, features) for one in shown])
 
 
 def own_colors(surface: Surface, difference: Tensor, strain: Tensor, parts: Tensor, trust: Tensor) -> Tensor:

@@ -28,10 +28,10 @@ from ..model.grmm import GRMM, Attributes, Picture
 from ..model.parameters import EXPRESSION_MAPS
 from ..training.losses import Perceptual
 from .code_stage import CodePrior, Codes, Tick, background
-from .creases import Folding, bringing, crease_colors, own_colors
+from .creases import Folding, bringing, crease_colors, folds_brought, own_colors, plain_skin, soft_folds
 from .eye_colors import even_lash_line, eye_angles, plain_eyes
 from .fold_light import FoldShade
-from .inpainting import amid_own, corners_of, facing, fill_colors, known_of, unclipped, uncut
+from .inpainting import amid_own, corners_of, facing, fill_colors, gone_on, known_of, unclipped, uncut
 from .lids import lash_line, lid_exposure, lid_share, plain_lids
 from .locality import LOCALITY_WEIGHT, Locality, tunable_copy
 from .objective import FIT_WEIGHTS, contributions, decode, draw, fit_loss, relit, spread_to_colors
@@ -364,9 +364,11 @@ class Tuner:
         """
         trained, table, folding = self.model.decoders.expression, self.model.aligned_codes, self.folding
         colors = self.decoded[0].colors + self.tint + maps["color"]
+        found = colors
+        colors = soft_folds(self.surface, colors, folding.strains.amin(0), folding.features)
         shade = self._shade(colors)
         even = shade.without(colors)
-        maps["color"] = maps["color"] + even - colors
+        maps["color"] = maps["color"] + even - found
         if trained is None or table is None:
             maps["color"] = maps["color"] + rim
             return None
@@ -385,10 +387,24 @@ class Tuner:
                 share * own_colors(self.surface, found, strain, folding.parts, trust) for found, strain, share, trust in every
             ]
             creases = creases + torch.stack(own)
-        change = brought.maps(creases)
+        prior = self._prior_folds()
+        change = brought.maps(creases - prior)
         at_rest = trained.weights(self.codes.z_exp) * (1.0 + trained.gains(self.codes.z_id))
-        maps["color"] = maps["color"] + rim - shared - (at_rest @ change).view_as(shared)
+        maps["color"] = maps["color"] + rim - shared + prior - (at_rest @ change).view_as(shared)
         return change
+
+    def _prior_folds(self) -> Tensor:
+        """Folds that the trained expression maps bring in the photos' expressions, where these tell the skin's colors, [N, 3].
+
+        The photos have their own, and the maps of colors have made up for these: left as they are they would come out at rest,
+        as light lines beside the mouth.
+        """
+        maps, shown = self.model.decoders.expression, [inputs.z_exp for inputs in self.inputs]
+        assert maps is not None
+        brought = folds_brought(self.surface, maps, self.codes.z_id, self.codes.z_exp, shown, self.folding.features)
+        shares = self._shares(torch.stack(self.seen_by) * self.folding.calm)
+        folds = gone_on(self.surface, (shares[..., None] * brought).sum(0), known_of(self.seen))
+        return folds * plain_skin(self.surface, self.folding.features)
 
     def _shade(self, colors: Tensor) -> FoldShade:
         """What of the colors [N, 3] is shade in narrow folds; none on weights that do not tell skin from the rest."""

@@ -24,6 +24,7 @@ LEAST = 0.55  # of what stands out that is color in any case: wrinkles are seen 
 WIDTH_TEXELS, AROUND_TEXELS = 10.0, 8.0  # length below which colors stand out; over which s is found
 FINEST_TEXELS, PRIOR_TEXELS = 0.5, 1.5  # below it colors cancel out between Gaussians that overlap; of the prior, noise
 DEEPEST = 0.35  # of the logarithm, over the share of shade: no color stands out more, so that deep folds are not red
+MOST_TINT = 0.3  # of the logarithm, by which a channel stands out more than all do: about as much as red spots
 RIM_TEXELS, AWAY = 2.0, (0.6, 0.95)  # from other parts than plain skin: smoothed share of it
 _NORMAL = 1.25  # standard deviation over mean absolute deviation, which single marks hardly change
 _DARKEST = 2e-3  # linear color below which nothing is told
@@ -67,7 +68,8 @@ class FoldShade:
         lit, detail = to_linear(colors.clamp(0.0, 1.0)), self._detail(colors)
         most = DEEPEST / self.share.clamp(min=1e-3)
         light, color = detail.mean(1, keepdim=True), 1.0 - self.share
-        kept = (color * (light + color * (detail - light))).clamp(-most, most)  # shade is red: that goes with more of it
+        tint = MOST_TINT * torch.tanh((detail - light) / MOST_TINT)
+        kept = (color * (light + color * tint)).clamp(-most, most)  # shade is red: that goes with more of it
         soft = to_display(lit * torch.exp(kept - detail))
         return soft + (1.0 - self.share) * (colors - to_display(lit))  # the rest is what no screen shows
 

@@ -179,7 +179,6 @@ def _fill_surface(
         plain = plain_known * (1.0 - odd / BARE_SKIN).clamp(0, 1)
     plain = plain * (1.0 - surface.below)  # a neck has a tone of its own
     beyond, between = (surface.fill(change, part, rest=COLOR_REST) for part in (plain, plain_known))
-    inner = surface.smooth((plain_known / HALF_KNOWN).clamp(0, 1)[:, None], FEATHER_TEXELS)
     seen = torch.lerp(between, change, plain_known[:, None])  # with its small gaps, as between the lips
     far = surface.smooth((plain_known / HALF_KNOWN).clamp(0, 1)[:, None], EDGE_TEXELS)
     dark = ((beyond - seen).mean(1, keepdim=True) / BARE_SKIN).clamp(0, 1)
@@ -192,7 +191,7 @@ def _fill_surface(
     off = surface.smooth(seen, SHADING_TEXELS) - beyond  # shadows of hair, chin and collar would turn with the head
     doubted = surface.beside[:, None] * (1.0 - WELL_SEEN * far.clamp(0, 1))
     seen = seen - doubted * (off - SHADING * torch.tanh(off / SHADING))
-    outer = torch.lerp(beyond, seen, ((inner - FADES[0]) / (FADES[1] - FADES[0])).clamp(0, 1))
+    outer = torch.lerp(beyond, seen, _fading(surface, plain_known))
     outer = torch.lerp(outer, _plain_neck(surface, prior, change, beyond, plain_known), surface.below[:, None])
     plain_skin = skin & ~surface.lips & (plain > 0.5)
     if int(plain_skin.sum()) >= _FEW_TEXELS:
@@ -204,6 +203,18 @@ def _fill_surface(
     parts = surface.lips | (surface.group == INNER)
     alone = surface.fill(change, known * parts, rest=PART_REST)
     return prior - start + plain_mouth(surface, prior, change, known, outer, alone)
+
+
+def _fading(surface: Surface, known: Tensor) -> Tensor:
+    """How far texels have what was seen of skin: a little beyond what is known [N], 0..1 [N, 1]."""
+    inner = surface.smooth((known / HALF_KNOWN).clamp(0, 1)[:, None], FEATHER_TEXELS)
+    return ((inner - FADES[0]) / (FADES[1] - FADES[0])).clamp(0, 1)
+
+
+def gone_on(surface: Surface, values: Tensor, known: Tensor) -> Tensor:
+    """Values [N, 3] as those of seen skin go on beyond where they are known [N], and fade out."""
+    filled = surface.fill(values, known, rest=COLOR_REST)
+    return torch.lerp(filled, values, known[:, None]) * _fading(surface, known)
 
 
 def _with_both_brows(surface: Surface, change: Tensor, known: Tensor, outer: Tensor) -> Tensor:

@@ -7,7 +7,17 @@ import pytest
 import torch
 
 from grmm_core.controls.names import ARKIT_NAMES
-from grmm_core.fitting.creases import PORES, STAYS, bringing, crease_colors, own_colors, strained
+from grmm_core.fitting.creases import (
+    PORES,
+    STAYS,
+    bringing,
+    crease_colors,
+    folds_brought,
+    own_colors,
+    soft_folds,
+    strained,
+)  # fmt: skip
+from grmm_core.fitting.inpainting import gone_on
 from grmm_core.fitting.surface import SKIN, texel_surface
 from grmm_core.geometry.rotations import euler_to_matrix
 from grmm_core.model.config import PRESETS
@@ -82,6 +92,53 @@ def test_dark_folds_go_where_skin_is_hardly_strained_and_moles_stay(model):
     assert float(creases[fold].mean()) < -0.12 * (1.0 - STAYS)
     assert float(creases[mole].mean()) > -0.03 * (1.0 - STAYS)
     assert not crease_colors(surface, colors, 0.0 * little, plain).any()
+
+
+def test_strong_folds_are_smoothed_where_skin_is_strained_and_hold_colors_that_screens_show(model):
+    surface = texel_surface(model)
+    places = model.anchor(torch.as_tensor(np.array(model.head_model.v_template))).positions
+    skin = (surface.group == SKIN) & ~surface.lips & (places[:, 2] > 0.02)
+    oblique = places[:, 1] + 0.7 * places[:, 0] - places[surface.lips, 1].max()
+    line = skin & (places[:, 0] > 0.02) & (oblique.abs() < 0.002)
+    pores = torch.zeros_like(line)
+    pores[torch.nonzero(skin & (places[:, 0] < -0.01))[::9, 0]] = True
+    colors = TONE.repeat(model.gaussian_count, 1)
+    colors[line] -= torch.tensor([0.4, 0.7, 0.8])  # below black in blue, which cancels out between Gaussians that overlap
+    colors[pores] -= 0.02
+    none, strain = torch.zeros(len(colors), dtype=torch.bool), torch.ones(len(colors))
+    soft, calm = soft_folds(surface, colors, strain, none), soft_folds(surface, colors, 0.0 * strain, none)
+    assert int(line.sum()) > 8
+    torch.testing.assert_close(calm, colors.clamp(0.0, 1.0))
+    kept = (TONE - soft[line]).mean() / (TONE - calm[line]).mean()
+    assert 0.3 < float(kept) < 0.85
+    beside = skin & ~line & (oblique.abs() < 0.006) & (places[:, 0] > 0.02)
+    assert float((calm - soft)[beside].mean()) > 0.005
+    torch.testing.assert_close(soft[pores], colors[pores])
+    torch.testing.assert_close(soft_folds(surface, colors, strain, ~none), colors)  # lips, lids and brows keep theirs
+
+
+def test_what_made_up_for_the_priors_folds_does_not_come_out_at_rest(model):
+    surface = texel_surface(model)
+    generator = torch.Generator().manual_seed(4)
+    maps = ExpressionMaps(6, 8, 5, model.gaussian_count).requires_grad_(False)
+    maps.weights.weight.normal_(generator=generator)
+    maps.maps.normal_(std=0.02, generator=generator)
+    skin = (surface.group == SKIN) & ~surface.lips
+    features, seen = ~skin, (model.anchor(torch.as_tensor(np.array(model.head_model.v_template))).positions[:, 0] > 0.0).float()
+    z_id, rest, photo = torch.randn(3, 8, generator=generator)
+    z_id, others = z_id[:6], 0.3 * torch.randn(12, 8, generator=generator)
+    (brought,) = folds_brought(surface, maps, z_id, rest, [photo], features)
+    painted = -brought * seen[:, None]  # the photo has no folds where it shows the skin
+    prior = gone_on(surface, brought * seen[:, None], seen) * skin[:, None]
+    before = maps(z_id, photo) + painted
+    change = bringing(maps, z_id, rest, [photo], others).maps(-prior[None])
+    painted = painted + prior - ((maps.weights(rest) * (1.0 + maps.gains(z_id))) @ change).view_as(prior)
+    resting = maps(z_id, rest)
+    maps.maps += change
+    sure = skin & (surface.smooth(seen[:, None], 5.0)[:, 0] > 0.9)
+    assert int(sure.sum()) > 500
+    torch.testing.assert_close((maps(z_id, photo) + painted)[skin], before[skin], rtol=1e-3, atol=2e-3)
+    assert float((maps(z_id, rest) + painted - resting)[sure].abs().max()) < 0.05 * float(brought[sure].abs().max())
 
 
 def test_each_of_several_photos_has_its_own_folds(model):

@@ -17,6 +17,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import wait
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -146,7 +147,7 @@ def _make(
     session = make_local_session(request.weights or None, request.device, None, request.head or None, "torch")
     loaded = session.engine.store.default()
     head, folder = loaded.model.head_model, request.work_folder
-    with beside(_first_optimiser):
+    with beside(partial(_head_start, loaded.model)):
         tracks = _tracks(request, job, photos, masks, loaded.model, loaded.info, report, on_faces)
     hairless = loaded.model.config.hairless
     parts = [parse(track, head) for track in tracks] if hairless else []
@@ -195,11 +196,21 @@ def _make(
     return avatar, tracks, left_out(tracks, head)
 
 
-def _first_optimiser(told: Share) -> None:
-    """Make one: at the first torch imports its compiler, for three seconds, while photos are analysed."""
+def _head_start(model: GRMM, told: Share) -> None:
+    """Do what needs no photo while these are analysed and tracked.
+
+    A first optimiser imports torch's compiler, for seconds; neighbours of texels and grooms to compare are kept for who asks.
+    """
     import torch
 
+    from .hair_match import make_candidates
+    from .surface import texel_surface
+
+    texel_surface(model)
     torch.optim.Adam([torch.zeros(1, requires_grad=True)])
+    told(0.5)
+    if model.config.hairless:
+        make_candidates(model.head_model)
 
 
 def _tracks(

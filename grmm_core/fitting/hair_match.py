@@ -6,12 +6,14 @@ strands' directions agree best with the hair in all photos are bent to them (`ha
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
 
+from ..compute.recent import Recent
 from ..geometry.zbuffer import EMPTY, triangle_depth
 from ..hair.coloring import HairView, around_head, hiding_faces, reduced
 from ..hair.groom import Groom
@@ -89,17 +91,17 @@ def best_grooms(
     tried: list[Match] = []
     for number, name in enumerate(names):
         progress(0.6 * number / len(names))
-        both = (Candidate(name, flipped, head) for flipped in (False, True))
+        both = (Candidate.of(name, flipped, head) for flipped in (False, True))
         tried.append(max((_judged(stages, candidate, length) for candidate in both for length in LENGTHS), key=_score))
     ranked = sorted(tried, key=_score, reverse=True)
-    candidate = Candidate(ranked[0].name, ranked[0].flipped, head)
+    candidate = Candidate.of(ranked[0].name, ranked[0].flipped, head)
     best = max([ranked[0], *(_judged(stages, candidate, ranked[0].length * factor) for factor in FINER)], key=_score)
     if hatted and not long:
         return [best]
     found, likely = [], [match for match in ranked[1:BENT] if match.score > LIKELY_BENT * best.score]
     for number, match in enumerate([best, *likely]):
         progress(0.6 + 0.4 * number / BENT)
-        candidate = Candidate(match.name, match.flipped, head)
+        candidate = Candidate.of(match.name, match.flipped, head)
         field = field_to(candidate.course(stages, match.length), stages)
         judged = _judged(stages, candidate, match.length, field)
         found.append(judged._replace(score=judged.score + UNBENT * match.score))
@@ -169,6 +171,23 @@ class Candidate(Strands):
         self.name, self.flipped = name, flipped
         strands = _even(few(groom))
         self.coils, self.waves = coils(strands), waves(strands)
+
+    @staticmethod
+    def of(name: str, flipped: bool, head: HeadModel) -> Candidate:
+        """The same, made once: no photo has a part in it."""
+        found = copy.copy(_CANDIDATES.get((name, flipped, head), lambda: Candidate(name, flipped, head)))
+        found._stood = {}
+        return found
+
+
+_CANDIDATES: Recent[Candidate] = Recent(64)
+
+
+def make_candidates(head: HeadModel) -> None:
+    """Make every groom ready to be compared."""
+    for name in groom_names():
+        for flipped in (False, True):
+            Candidate.of(name, flipped, head)
 
 
 def few(groom: Groom) -> Groom:

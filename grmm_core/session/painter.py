@@ -11,7 +11,9 @@ from ..geometry.camera import Camera
 from ..head import HeadModel
 from ..model.painting import View, paint
 from .api import Session
-from .values import Instance
+from .values import Instance, RenderOptions
+
+_OPTIONS = RenderOptions(refine=False)  # what it adds is finer than the painting's texels
 
 
 def painted(session: Session, avatar_id: int, head: HeadModel) -> np.ndarray:
@@ -24,7 +26,7 @@ def painted(session: Session, avatar_id: int, head: HeadModel) -> np.ndarray:
 
     def view(controls: Mapping[str, float], camera: Camera) -> View:
         posed = Controls().set_named(controls)
-        buffers = session.render([Instance(avatar_id, posed)], camera)
+        buffers = session.render([Instance(avatar_id, posed)], camera, _OPTIONS)
         return View(session.deform(avatar_id, posed).vertices, buffers["rgb"], buffers["alpha"][..., 0])
 
     return paint(head, view)

@@ -22,6 +22,7 @@ import numpy as np
 from ..head import HeadModel
 from ..light.relight import to_linear
 from ..light.resting import Texels
+from .chin import below_chin
 from .photo_light import FACING, FINE_MOST, FINE_STEP, Seen
 
 _COLOR = 0.08, 0.04  # expected wide error of the person's colors, of their logarithm: lightness; tint that does not go with it
@@ -33,6 +34,7 @@ _EDGE = 0.3  # deviation of the logarithm of a light within the reach of a featu
 _DARKEST_LIGHT = 0.02  # of the rig's, as of all that is darker
 _ROUNDS = (3,)  # of averaging over neighbouring vertices, which lie 5 mm apart in a face
 _LAST_ROUNDS = (0, 1, 4, 16)  # likewise once colors are known: light goes on where skin is seen at a slant
+_BUST_ROUNDS = 8  # from skin that is seen, to where it ends on a bust that is not: the bright rim of a neck is no light on that
 _THROAT_ROUNDS = 2  # likewise on the throat, after each step
 _THROAT, _THROAT_RIM = (0.4, 0.8), 4  # share of throat after so many rounds: below the first light stays, above the second none
 _STEPS = 6  # of it, each by what the last has left (simultaneous algebraic reconstruction)
@@ -157,7 +159,18 @@ def more_local(head: HeadModel, texels: Texels, seen: Seen, drawn: np.ndarray, l
         told = told * np.minimum(shows, 1.0)
         wide, sure = _at_vertices(head, texels, off, told, _LAST_ROUNDS)
         logarithm = even.of(np.log(_factor(logarithm + sure * wide)))
-    return np.exp(logarithm).astype(np.float32)
+    return np.exp(logarithm * _near(head, texels, seen)).astype(np.float32)
+
+
+def _near(head: HeadModel, texels: Texels, seen: Seen) -> np.ndarray:
+    """How near vertices are to skin that a photo shows, 0..1 [V, 1]; 1 but on neck and bust."""
+    shown = texels.corners[seen.weights > 0].reshape(-1)
+    there = (np.bincount(shown, minlength=head.vertex_count) > 0)[:, None].astype(np.float64)
+    edges = _edges(head)
+    there = (_averaged(there, edges, 1) > 0.0).astype(np.float64)  # with all corners of the faces that end there
+    near = np.maximum(there, (2.0 * _averaged(there, edges, _BUST_ROUNDS)).clip(0.0, 1.0))
+    below: np.ndarray = (below_chin(head) * head.marked("neck"))[:, None]
+    return 1.0 - below * (1.0 - near)
 
 
 class _EvenThroat:

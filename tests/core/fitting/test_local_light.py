@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from grmm_core.fitting.chin import below_chin
 from grmm_core.fitting.local_light import local_lights, more_fine, more_local, on_face
 from grmm_core.fitting.photo_light import FINE_MOST, FINE_STEP, Seen
 from grmm_core.head import load_open_head
@@ -223,3 +224,19 @@ def test_a_narrow_shade_at_the_edge_of_a_hard_light_is_light(head, texels, place
         (local,), _ = local_lights(head, texels, [seen], [ratio], SKIN * np.ones((len(places), 1)), np.array([DOUBTFUL]))
         left.append(float(np.median(logs(texels, local, feature))))
     assert left[1] < 1.5 * left[0] < 0.0
+
+
+def test_light_at_the_end_of_a_neck_that_is_seen_goes_over_into_that_of_the_bust(head):
+    faces = np.flatnonzero(head.marked("face", "neck")[head.faces].all(1)).astype(np.int32)
+    whole = Texels.of(head, faces, np.full((len(faces), 3), 1.0 / 3.0, np.float32))
+    heights, below = whole.at(head.v_template)[:, 1], whole.at(below_chin(head)[:, None])[:, 0]
+    collar = np.percentile(heights[below > 0.9], 70)
+    shown = np.where((below > 0.5) & (heights < collar + 0.02), 1.5, 1.0)  # the last of the neck that shows is bright
+    seen = Seen(np.asarray(to_display(SKIN * shown[:, None])), (heights > collar).astype(float))
+    drawn = np.asarray(to_display(SKIN * np.ones((len(faces), 3))))
+    light = logs(whole, more_local(head, whole, seen, drawn, np.ones((head.vertex_count, 3))), slice(None))
+    rim, bust = (below > 0.9) & (heights > collar) & (heights < collar + 0.01), heights < np.percentile(heights, 10)
+    assert float(np.median(light[rim])) > 0.6 * np.log(1.5)
+    assert float(np.median(np.abs(light[bust]))) < 0.2 * np.log(1.5)
+    assert float(np.median(np.abs(light[heights < np.percentile(heights, 3)]))) < 0.02
+    assert float(np.abs(light[(heights > collar) & (below == 0.0)]).mean()) < 0.03

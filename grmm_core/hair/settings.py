@@ -16,7 +16,7 @@ from .roots import LASHES, SCALP
 
 PIGMENTS = ("melanin", "redness", "grey", "dye", "dye_red", "dye_green", "dye_blue")
 LASH_MELANIN = 0.9  # lashes are dark, also those of fair people
-LASH_THICKNESS = 1.7  # the studio's are half as many as people have, and pale rims of lids show through them
+LASH_THICKNESS = 1.3  # the studio's are half as many as people have, and pale rims of lids show through them
 DARKER = 0.15  # melanin that brows and beards have more: their hairs are coarser, and none shades another
 FACE_SHEEN = 0.3  # of hair of the face: with scalp hair's black brows are grey on dark skin, and none is brown
 

@@ -83,6 +83,19 @@ def test_lashes_stand_as_a_fan_and_sink_with_their_lids(head):
     assert np.median(rises[0][~upper]) < -25
 
 
+def test_drawn_lashes_stand_before_their_lids_and_towards_the_eye(head):
+    template = np.asarray(head.v_template, float)
+    lashes = Lashes.build(head, template, library_groom("natural", part="lashes"))
+    turn = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # a quarter about the vertical: forward is now -x
+    for pose in (np.eye(3), turn):
+        shift = (lashes.drawn_points(template @ pose) - lashes.points(template @ pose)) @ pose.T
+        np.testing.assert_allclose(shift, shift[:, :1].repeat(shift.shape[1], 1), atol=1e-9)  # no strand is bent
+        up, forward = shift[:, 0, 1], shift[:, 0, 2]
+        assert np.median(forward) > 0.0002
+        assert np.median(up[lashes.upper]) < -0.0002 < 0.0 < np.median(up[~lashes.upper])
+        assert np.linalg.norm(shift[:, 0], axis=1).max() < 0.001
+
+
 def test_lashes_elsewhere_are_left_to_their_triangles(head):
     assert Lashes.build(head, np.asarray(head.v_template, float), library_groom("thin", part="brows")) is None
 

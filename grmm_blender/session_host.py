@@ -47,7 +47,7 @@ NO_TORCH = (
     "torch, in the preferences of the GRMM extension."
 )
 _WAIT_SECONDS = 0.5  # that the main thread waits for another one's picture once there is nothing left to compile
-FIRST_TIME = "the first time after installing takes half a minute"
+FIRST_TIME = "the first time after installing can take a minute"
 CLASSES = ()
 
 Mode = Literal["auto", "local", "worker"]

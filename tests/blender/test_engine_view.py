@@ -54,7 +54,7 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_viewport_shows_what_f12_renders(run_blender: RunBlender, weights: Path, tmp_path: Path):
     environment = {"GRMM_WORKER_PYTHON": sys.executable, "OMP_NUM_THREADS": "1"}
     found = run_blender("engine_view_draw.py", weights, tmp_path, python="5.2", environment=environment).result
-    assert found["statuses"] == ["Loading the model; the first time after installing takes half a minute", "Preview", ""]
+    assert found["statuses"] == ["Loading the model; the first time after installing can take a minute", "Preview", ""]
     # The good picture is that of F12 up to 16-bit storage and F12's 8-bit file; the preview is smaller and unrefined.
     assert found["covered"] > 0.05
     assert found["final_error"] < 0.004

@@ -59,13 +59,7 @@ class Exchange(NamedTuple):
         def mean(values: np.ndarray) -> np.ndarray:
             return np.stack([np.bincount(patch, area * values[:, k]) for k in range(3)], -1) / whole[:, None]
 
-        middles, facing = mean(vertices), mean(normals)
-        arriving = normals @ middles.T - (normals * vertices).sum(1)[:, None]  # cosines times distances, [V, P]
-        leaving = (facing * middles).sum(1) - vertices @ facing.T
-        squares = (vertices**2).sum(1)[:, None] + (middles**2).sum(1) - 2.0 * vertices @ middles.T + whole / math.pi
-        factors = np.maximum(arriving, 0.0) * np.maximum(-leaving, 0.0) * whole / squares**2
-        givers = np.argpartition(-factors, _GIVERS, axis=1)[:, :_GIVERS].copy()  # not a part of all of them
-        shares = np.take_along_axis(factors, givers, 1)
+        givers, shares = _strongest(vertices, normals, mean(vertices), mean(normals), whole)
         total = shares.sum(1)
         shares *= np.where(total > 0.0, (1.0 - openness(rows)) / np.maximum(total, 1e-20), 0.0)[:, None]
         return Exchange(patch, (area / whole[patch]).astype(np.float32), givers, shares.astype(np.float32))
@@ -102,6 +96,34 @@ class Exchange(NamedTuple):
         means = np.stack([np.bincount(self.patch, self.area * irradiance[:, k], count) for k in range(3)], -1)
         result: np.ndarray = np.einsum("vk,vkc->vc", self.shares, (means * albedo).astype(np.float32)[self.givers])
         return result
+
+
+def _strongest(
+    vertices: np.ndarray, normals: np.ndarray, middles: np.ndarray, facing: np.ndarray, whole: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """Patches that vertices see most of, and their form factors, [V, _GIVERS] each.
+
+    Args:
+        vertices: [V, 3] metres.
+        normals: [V, 3].
+        middles: Of the patches, [P, 3] metres.
+        facing: Their mean normals, [P, 3].
+        whole: Their areas, [P] square metres.
+    """
+    kernels = compiled_kernels()
+    if kernels is not None:
+        from ..compute.threads import for_rows
+
+        givers, factors = np.zeros((len(vertices), _GIVERS), np.int64), np.zeros((len(vertices), _GIVERS))
+        given = (np.ascontiguousarray(array, np.float64) for array in (vertices, normals, middles, facing, whole))
+        for_rows(kernels.strongest, len(vertices), *given, givers, factors, smallest=_TASK)
+        return givers, factors
+    arriving = normals @ middles.T - (normals * vertices).sum(1)[:, None]  # cosines times distances, [V, P]
+    leaving = (facing * middles).sum(1) - vertices @ facing.T
+    squares = (vertices**2).sum(1)[:, None] + (middles**2).sum(1) - 2.0 * vertices @ middles.T + whole / math.pi
+    every = np.maximum(arriving, 0.0) * np.maximum(-leaving, 0.0) * whole / squares**2
+    givers = np.argpartition(-every, _GIVERS, axis=1)[:, :_GIVERS].copy()  # not a part of all of them
+    return givers, np.take_along_axis(every, givers, 1)
 
 
 def albedo_of(colors: np.ndarray, rig: np.ndarray) -> np.ndarray:

@@ -314,3 +314,32 @@ def bounced(givers: np.ndarray, shares: np.ndarray, sums: np.ndarray, out: np.nd
             share, p = shares[i, k], givers[i, k]
             r, g, b = r + share * sums[p, 0], g + share * sums[p, 1], b + share * sums[p, 2]
         out[i, 0], out[i, 1], out[i, 2] = r, g, b
+
+
+@compiled(**OPTIONS)
+def strongest(
+    vertices: np.ndarray, normals: np.ndarray, middles: np.ndarray, facing: np.ndarray, whole: np.ndarray,
+    givers: np.ndarray, factors: np.ndarray, first: int, last: int,
+) -> None:  # fmt: skip
+    """Write the patches [P] with the greatest form factors and these, [V, K], zeros before; see `bounce.Exchange`.
+
+    Vertices, middles and their normals are float64, [V, 3] and [P, 3], and so are the patches' areas, [P], and the factors.
+    """
+    most = givers.shape[1]
+    for i in range(first, last):
+        x, y, z = vertices[i, 0], vertices[i, 1], vertices[i, 2]
+        for p in range(len(middles)):
+            dx, dy, dz = middles[p, 0] - x, middles[p, 1] - y, middles[p, 2] - z
+            arriving = normals[i, 0] * dx + normals[i, 1] * dy + normals[i, 2] * dz
+            leaving = -(facing[p, 0] * dx + facing[p, 1] * dy + facing[p, 2] * dz)
+            if arriving <= 0.0 or leaving <= 0.0:
+                continue
+            square = dx * dx + dy * dy + dz * dz + whole[p] / math.pi
+            factor = arriving * leaving * whole[p] / (square * square)
+            if factor <= factors[i, most - 1]:
+                continue
+            k = most - 1
+            while k > 0 and factors[i, k - 1] < factor:
+                factors[i, k], givers[i, k] = factors[i, k - 1], givers[i, k - 1]
+                k -= 1
+            factors[i, k], givers[i, k] = factor, p

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from grmm_core.head import load_open_head
-from grmm_core.light import shading
+from grmm_core.light import bounce, shading
 from grmm_core.light import shadow_kernels as kernels
 from grmm_core.light.bounce import Exchange, albedo_of
 from grmm_core.light.hair_shading import CELL, HairCloud
@@ -191,6 +191,19 @@ def test_a_lit_wall_lights_the_one_that_stands_on_it():
     ball_points, ball_normals, ball_faces = ball()
     alone = Exchange.of(ball_points, ball_normals, ball_faces, transfer(ball_points, ball_normals, ball_faces, 200))
     assert alone.bounced(np.ones_like(ball_points), np.ones(3)).max() < 0.1
+
+
+def test_the_compiled_search_for_givers_finds_those_of_the_plain_one(monkeypatch):
+    head = load_open_head()
+    vertices = np.asarray(head.v_template, np.float64)
+    normals = vertex_normals(vertices, head.faces)
+    given = vertices, normals, head.faces, transfer(vertices, normals, head.faces, 50)
+    fast = Exchange.of(*given)
+    monkeypatch.setattr(bounce, "compiled_kernels", lambda: None)
+    plain = Exchange.of(*given)
+    np.testing.assert_allclose(np.sort(fast.shares, 1), np.sort(plain.shares, 1), atol=1e-7)
+    light = np.random.default_rng(0).random((len(vertices), 3))
+    np.testing.assert_allclose(fast.bounced(light, np.ones(3)), plain.bounced(light, np.ones(3)), atol=1e-5)
 
 
 def test_albedo_is_what_the_rig_shows():

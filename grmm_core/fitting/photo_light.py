@@ -23,8 +23,8 @@ from ..light.lamps import STUDIO, Lighting, Sun
 from ..light.materials import materials_of
 from ..light.relight import to_linear
 from ..light.resting import RestLight, Texels, casters_of, even_mouth
-from ..light.shading import Learned, Response, reached, relative, shade, transport
-from ..light.shadows import maps_of
+from ..light.shading import Learned, Response, reached, relative, shade, straight
+from ..light.shadows import Receivers, maps_of
 from ..light.surroundings import TERMS, Surroundings, sphere
 from ..light.texel_shadows import TexelShadows
 from ..light.transfer import vertex_normals
@@ -275,15 +275,17 @@ class PhotoHead:
 
         How much it is `held` to even light is a factor.
         """
-        parts = transport(
-            SUNS, self._receivers, list(self._seen), self._materials, self._rest.transfer, self._eye, MATT, self._turn
-        )  # fmt: skip
-        direct = np.concatenate([parts.diffuse.transpose(1, 0, 2), np.repeat(parts.ambient[:, :, None], 3, 2)], 1)
-        columns = direct / self._rest.rig[:, None].astype(np.float64)  # [N, U, 3]
-        here, weights, rest = columns[counted], given[counted], columns[self.told]
-        grey = _robust(here.mean(2), wanted.mean(1), weights, rest.mean(2), None, held)
-        found = np.stack([_robust(here[:, :, c], wanted[:, c], weights, rest[:, :, c], grey, held) for c in range(3)], 1)
-        found = found * scale
+        told, weights = np.flatnonzero(self.told), given[counted]  # the counted are of these
+        receivers = Receivers.around(self._receivers.points[told], self._receivers.normals[told])
+        lit = straight(SUNS, receivers, list(self._seen[:, told]), self._materials.taken(told), MATT)
+        ambient, rig = self._rest.transfer[told] * MATT.intensity, self._rest.rig[told].astype(np.float64)
+        columns = [np.concatenate([lit[:, :, c].T, ambient], 1) / rig[:, c, None] for c in range(3)]  # [T, U] each
+
+        def solved(every: np.ndarray, seen: np.ndarray, near: np.ndarray | None) -> np.ndarray:
+            return _robust(every[counted[told]], seen, weights, every, near, held)
+
+        grey = solved((columns[0] + columns[1] + columns[2]) / 3.0, wanted.mean(1), None)
+        found = np.stack([solved(own, wanted[:, c], grey) for c, own in enumerate(columns)], 1) * scale
         suns, around = found[: len(SUNS)].astype(np.float32), Surroundings(found[len(SUNS) :]).turned(self._turn).coefficients
         return Light(suns, around.astype(np.float32), tone, np.ones(3, np.float32))
 

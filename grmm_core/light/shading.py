@@ -126,17 +126,11 @@ def transport(
     view = eye - receivers.points
     view = view / np.maximum(np.linalg.norm(view, axis=1, keepdims=True), 1e-9)
     facing = np.clip((normals * view).sum(1), 0.05, 1.0)
-    flesh = materials.wander[:, None] * response.scattering
     relief = RELIEF * materials.rough**2
-    wander = np.clip(flesh * materials.curvature[:, None] * WANDER, 0.0, 0.9)  # [N, 3]
-    diffuse, highlights, tilting, leaning = [], [], [], []
+    highlights, tilting, leaning = [], [], []
     for lamp, part in zip(lamps, seen, strict=True):
         towards, strength = arriving(lamp, receivers.points)
         cosine = (normals * towards).sum(1)
-        # wrapped diffuse that keeps the energy; shadows have soft red edges for the same reason
-        reach = uneven(cosine[:, None] + wander, relief[:, None]) / (1.0 + wander) ** 2
-        through = part[:, None] * (1.0 + flesh * SOFTER) / (1.0 + flesh * SOFTER * part[:, None])
-        diffuse.append(reach * through * strength[:, None] * response.intensity)
         size = _widening(lamp, receivers.centre)
         mirrored, change = lobes(materials, normals, view, facing, towards, np.maximum(cosine, 0.0), size)
         arrives = part * strength * (response.gloss * response.intensity)
@@ -149,13 +143,31 @@ def transport(
     mirror = mirror if turn is None else mirror @ turn
     glossy = mirrored_share(materials, facing) * materials.shine * openness(rows) * (response.gloss * response.intensity)
     return Transport(
-        np.stack(diffuse).astype(np.float32) if diffuse else np.zeros((0, count, 3), np.float32),
+        straight(lamps, receivers, seen, materials, response),
         np.stack(highlights).astype(np.float32) if highlights else np.zeros((0, count), np.float32),
         (rows * response.intensity).astype(np.float32),
         (glossy[:, None] * basis(mirror) * _MIRROR_BANDS).astype(np.float32),
         np.stack(tilting).astype(np.float32) if tilting else np.zeros((0, count, 4), np.float32),
         np.stack(leaning).astype(np.float32) if leaning else np.zeros((0, count, 3), np.float32),
     )
+
+
+def straight(
+    lamps: tuple[Lamp, ...], receivers: Receivers, seen: list[np.ndarray], materials: Materials, response: Response = Response()
+) -> np.ndarray:  # fmt: skip
+    """Irradiance at Gaussians of a unit of each lamp's color, by color, [L, N, 3] float32; arguments as of `transport`."""
+    flesh = materials.wander[:, None] * response.scattering
+    wander = np.clip(flesh * materials.curvature[:, None] * WANDER, 0.0, 0.9)  # [N, 3]
+    relief = RELIEF * materials.rough[:, None] ** 2
+    found = np.zeros((len(lamps), len(receivers.points), 3), np.float32)
+    for lamp, part, own in zip(lamps, seen, found, strict=True):
+        towards, strength = arriving(lamp, receivers.points)
+        cosine = (receivers.normals * towards).sum(1)
+        # wrapped diffuse that keeps the energy; shadows have soft red edges for the same reason
+        reach = uneven(cosine[:, None] + wander, relief) / (1.0 + wander) ** 2
+        through = part[:, None] * (1.0 + flesh * SOFTER) / (1.0 + flesh * SOFTER * part[:, None])
+        own[:] = reach * through * strength[:, None] * response.intensity
+    return found
 
 
 def uneven(cosine: Array, relief: Array) -> Array:

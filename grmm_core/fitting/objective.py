@@ -41,7 +41,8 @@ def decode(model: GRMM, inputs: ModelInputs[Tensor], camera: Camera) -> Attribut
 def relit(picture: Picture, light: Tensor) -> Picture:
     """A picture over black in a photo's own light (`recoloring.PhotoLight.picture`), [H, W, 3], as a session lights it."""
     spread = light * picture.alpha.detach()[..., None]
-    image, raw = (relight.relit(rgb, picture.alpha, spread, torch.zeros_like(rgb)) for rgb in (picture.image, picture.raw))
+    raw = relight.relit(picture.raw, picture.alpha, spread)
+    image = raw if picture.image is picture.raw else relight.relit(picture.image, picture.alpha, spread)
     return replace(picture, image=image, raw=raw)
 
 

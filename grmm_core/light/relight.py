@@ -19,23 +19,23 @@ _DEGREE = 7
 _DARKEST = 0.2  # of the rig's light: in deeper shadow colors are noise
 
 
-def relit(rgb: Array, alpha: Array, ratio: Array, highlights: Array) -> Array:
+def relit(rgb: Array, alpha: Array, ratio: Array, highlights: Array | None = None) -> Array:
     """A picture in another light.
 
     Args:
         rgb: Display sRGB premultiplied by alpha, refined, [H, W, 3].
         alpha: [H, W].
         ratio: Irradiance relative to the rig's, splatted (premultiplied), [H, W, 3].
-        highlights: Radiance, splatted, [H, W, 3].
+        highlights: Radiance, splatted, [H, W, 3]; None: as much as the rig's.
 
     Returns:
         As `rgb`; beyond 1 where the light is strong.
     """
     library = library_of(rgb)
     cover = library.clip(alpha, MIN_ALPHA, None)[..., None]
-    lit = to_linear(rgb / cover) * (ratio / cover)
-    # the rig's highlights are taken off; where a color never had them (hair, shadow) that must not blacken it
-    linear = lit + library.maximum(highlights / cover, -_MOST * lit)
+    linear = to_linear(rgb / cover) * (ratio / cover)
+    if highlights is not None:  # less the rig's: where a color never had them (hair, shadow) that must not blacken it
+        linear = linear + library.maximum(highlights / cover, -_MOST * linear)
     seen = (alpha >= MIN_ALPHA)[..., None]
     result: Array = to_display(linear) * cover * seen
     return result

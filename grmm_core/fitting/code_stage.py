@@ -20,6 +20,7 @@ from ..model.grmm import GRMM, Attributes, Picture
 from ..model.inputs import ModelInputs
 from ..model.weights_file import WeightsInfo
 from ..training.losses import Perceptual
+from .adam import Adam
 from .objective import FIT_WEIGHTS, decode, draw, fit_loss, photo_inputs, relit
 from .photo_targets import FitView
 from .presets import CodeSettings
@@ -188,7 +189,7 @@ class _Search:
     def restart(self) -> None:
         """Forget the optimiser's moments."""
         groups = [{"params": [self.w], "peak": RATE}, {"params": [self.z_exp, self.photo], "peak": EXPRESSION_RATE}]
-        self.optimiser = torch.optim.Adam([{**group, "lr": group["peak"]} for group in groups], betas=(0.9, 0.95))
+        self.optimiser = Adam(({**group, "lr": group["peak"]} for group in groups), betas=(0.9, 0.95))
 
     def decoded(self, view: FitView) -> tuple[Tensor, Attributes]:
         """Posed vertices [V, 3] and attributes for a photo, not recolored."""
@@ -223,7 +224,7 @@ class _Search:
             self.color()
         for group in self.optimiser.param_groups:
             group["lr"] = group["peak"] * min(1.0, (step + 1) / max(1.0, WARM * steps)) * min(1.0, 2.0 * (1.0 - step / steps))
-        self.optimiser.zero_grad(set_to_none=True)
+        self.optimiser.zero_grad()
         loss, drawn = self.loss(self.views[step % len(self.views)], step)
         loss.backward()
         self.optimiser.step()

@@ -27,6 +27,7 @@ from ..light.relight import unlit
 from ..model.grmm import GRMM, Attributes, Picture
 from ..model.parameters import EXPRESSION_MAPS
 from ..training.losses import Perceptual
+from .adam import Adam
 from .code_stage import CodePrior, Codes, Tick, background
 from .creases import Folding, bringing, crease_colors, folds_brought, own_colors, plain_skin, soft_folds
 from .eye_colors import even_lash_line, eye_angles, plain_eyes
@@ -127,7 +128,7 @@ class Tuner:
             self.locality = Locality(model, prior, codes, first[0]) if locality else None
         else:
             self.locality = None
-        self.optimiser = torch.optim.Adam([{**g, "lr": g["peak"]} for g in groups], betas=(0.9, 0.98), eps=1e-12)
+        self.optimiser = Adam(({**g, "lr": g["peak"]} for g in groups), betas=(0.9, 0.98), eps=1e-12)
         zeros = torch.zeros(count, dtype=model.dtype, device=model.device)
         self.parts = (surface.group == INNER) | surface.lips
         lids = torch.as_tensor(model.head_model.marked("lids")[corners_of(model)].all(1)).to(self.parts)
@@ -234,7 +235,7 @@ class Tuner:
         refined = turn % REFINED_EVERY == REFINED_EVERY - 1
         variant = turn // 2 if turn % 2 else None
         view = self.levels[level][index]
-        self.optimiser.zero_grad(set_to_none=True)
+        self.optimiser.zero_grad()
         drawn = draw(self.model, view.camera, self.meshes[index], self.attributes(index, variant), refined)
         drawn = relit(drawn, self.lit(level, index))
         pictures = ("image",) if refined else ("raw",)

@@ -26,6 +26,7 @@ from ..hair.strands import lengthened
 from ..photo.widening import widened
 from ..splat.api import rasterize
 from ..splat.types import Gaussians
+from .adam import Adam
 from .hair_grain import Directions
 
 if TYPE_CHECKING:
@@ -114,7 +115,7 @@ def field_to(course: Course, photos: Sequence[Seen], lattices: Sequence[Lattice]
     for nodes, steps, rate, smooth in lattices:
         start = functional.interpolate(field[None], nodes[::-1], mode="trilinear", align_corners=True)[0]
         field = start.detach().requires_grad_(True)
-        descent = torch.optim.Adam([field], rate)
+        descent = Adam([{"params": [field], "lr": rate}])
         for _ in range(steps):
             descent.zero_grad()
             moved = share * _sampled(field, course.rest)

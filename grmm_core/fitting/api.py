@@ -15,7 +15,7 @@ import logging
 import shutil
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import wait
+from concurrent.futures import Future, wait
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -152,30 +152,34 @@ def _make(
     hairless = loaded.model.config.hairless
     parts = [parse(track, head) for track in tracks] if hairless else []
 
-    def find_hair(told: Share) -> Hair:
+    coded: Future[Avatar] = Future()  # of the first stage, in the photos' lights: all that hair needs
+
+    def find_hair(told: Share) -> tuple[Hair | None, list[PhotoTrack]]:
         with one_thread():
-            return person_hair(tracks, parts, head, told)
+            hair = person_hair(tracks, parts, head, told)
+            while wait([coded], _WAIT_SECONDS).not_done:
+                told(1.0)
+            worn = trimmed(loaded.model, dataclasses.replace(coded.result(), hair=hair), tracks, parts)
+            worn, unlit = unlit_hair(session, worn, tracks, parts, head)
+            return worn.hair, unlit
 
     finish = report.part("finish")
-    with beside(find_hair) if hairless else contextlib.nullcontext() as hair:
+    with beside(find_hair) if hairless else contextlib.nullcontext() as found:
         avatar = invert(
             tracks, loaded.model, head, request.preset, info=loaded.info, name=request.name or request.output.stem,
-            work=folder, report=report,
+            work=folder, report=report, on_codes=coded.set_result if hairless else None,
         )  # fmt: skip
         finish(0.0)
-        while hair is not None and wait([hair], _WAIT_SECONDS).not_done:
+        while found is not None and wait([found], _WAIT_SECONDS).not_done:
             finish(0.0)
     person = with_deltas(loaded.model, avatar.deltas, folder)
-    if hair is not None:
-        trimmed_hair = trimmed(person, dataclasses.replace(avatar, hair=hair.result()), tracks, parts)
-        finish(0.15)
-        avatar = shaded_scalp(person, trimmed_hair, photo_views(person, tracks))
+    if found is not None:
+        hair, unlit = found.result()
+        avatar = shaded_scalp(person, dataclasses.replace(avatar, hair=hair), photo_views(person, tracks))
         person = with_deltas(loaded.model, avatar.deltas, folder)
-        finish(0.25)
-        avatar, unlit = unlit_hair(session, avatar, tracks, parts, head)
-        finish(0.6)
+        finish(0.1)
         avatar = textured(person, avatar, unlit, parts)
-    finish(0.7)
+    finish(0.4)
     pictures = photo_pictures(person, avatar, tracks)
     several = len(tracks) > 1  # light that strands keep off the skin then is the photos' own, and no color
     aims = photo_pictures(person, avatar, tracks, lit=False) if several else pictures
@@ -199,15 +203,12 @@ def _make(
 def _head_start(model: GRMM, told: Share) -> None:
     """Do what needs no photo while these are analysed and tracked.
 
-    A first optimiser imports torch's compiler, for seconds; neighbours of texels and grooms to compare are kept for who asks.
+    Neighbours of texels and grooms to compare are kept for who asks.
     """
-    import torch
-
     from .hair_match import make_candidates
     from .surface import texel_surface
 
     texel_surface(model)
-    torch.optim.Adam([torch.zeros(1, requires_grad=True)])
     told(0.5)
     if model.config.hairless:
         make_candidates(model.head_model)

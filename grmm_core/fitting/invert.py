@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -68,6 +68,7 @@ def invert(
     second_stage: bool = True,
     locality: float = LOCALITY_WEIGHT,
     perceptual: Perceptual | None = None,
+    on_codes: Callable[[Avatar], None] | None = None,
 ) -> Avatar:
     """Fit codes and decoders to tracked photos of one person.
 
@@ -84,6 +85,7 @@ def invert(
         second_stage: False stops after eq. 19 (the ablation).
         locality: lambda_loc of eq. 20; 0 leaves it out (the ablation).
         perceptual: Network of eq. 16's L_perc, or None to leave it out.
+        on_codes: Called between the stages with the avatar of the first, in the photos' lights.
 
     Raises:
         ConfigError: No photo, no such preset, or the weights' information is missing.
@@ -99,7 +101,7 @@ def invert(
     try:
         with torch.enable_grad():
             return _Inversion(
-                tracks, model, settings, info, name, work, report or Reporter(FIT), second_stage, locality, perceptual
+                tracks, model, settings, info, name, work, report or Reporter(FIT), second_stage, locality, perceptual, on_codes
             ).run()
     except (MemoryError, torch.OutOfMemoryError) as error:
         raise _out_of_memory() from error
@@ -119,9 +121,11 @@ class _Inversion:
     def __init__(
         self, tracks: Sequence[PhotoTrack], model: GRMM, preset: Preset, info: WeightsInfo, name: str, work: Path | None,
         report: Reporter, second_stage: bool, locality: float, perceptual: Perceptual | None,
+        on_codes: Callable[[Avatar], None] | None,
     ) -> None:  # fmt: skip
         self.tracks, self.model, self.preset, self.info, self.name = tracks, model, preset, info, name
         self.work, self.second_stage, self.locality, self.perceptual = work, second_stage, locality, perceptual
+        self.on_codes = on_codes
         self.codes_key = codes_key(tracks, info, preset)
         self.decoders_key = decoders_key(self.codes_key, preset, locality)
         self.report, self.shown = report, 0.0  # when a picture was made last
@@ -138,11 +142,16 @@ class _Inversion:
             lights, ratios, doubt = found_lights(self.model.head_model, self.model.layout, self.tracks, pictures)
             codes = self._codes(surface, PhotoLight.of(self.model, ratios, trust_in(doubt)))
             light, lights = self._light(codes, surface, lights, doubt)
-            if self.second_stage:
-                deltas = self._decoders(codes, surface, light)
-            else:
-                deltas = _tint_only(self.model, codes, surface, self.views(self.preset.codes.side))
-            return self._avatar(codes, deltas, lights)
+            if self.on_codes is not None or not self.second_stage:
+                tinted = self._avatar(codes, self._tint_only(codes, surface), lights)
+            if self.on_codes is not None:
+                self.on_codes(tinted)
+            if not self.second_stage:
+                self.report(DECODERS, 1.0)
+                return tinted
+            avatar = self._avatar(codes, self._decoders(codes, surface, light), lights)
+            self.report(DECODERS, 1.0)
+            return avatar
         finally:
             for parameter, needed in zip(self.model.parameters(), was, strict=True):
                 parameter.requires_grad_(needed)
@@ -227,12 +236,18 @@ class _Inversion:
         arrays = {name: value.cpu().numpy() for name, value in tracking.items()}
         light = {name: np.stack([getattr(light, name) for light in lights]) for name in Light._fields}
         arrays |= {LIGHT + name: values for name, values in light.items() if values.size}
-        avatar = make_avatar(
+        return make_avatar(
             self.name, self.tracks, self.info, codes.z_id.cpu().numpy(), codes.z_exp.cpu().numpy(),
             {name: value.cpu().numpy() for name, value in deltas.items()}, arrays,
         )  # fmt: skip
-        self.report(DECODERS, 1.0)
-        return avatar
+
+    def _tint_only(self, codes: Codes, surface: Surface) -> dict[str, Tensor]:
+        """Changes that make an avatar of stage 1: the color maps alone."""
+        model, view = self.model, self.views(self.preset.codes.side)[0]
+        with torch.no_grad():
+            colors = decode(model, codes.inputs(model, view), view.camera).colors
+            tint = recolor(colors, codes.maps, surface) - colors
+            return {"decoders.appearance_mean": torch.cat([tint, tint.new_zeros(len(tint), model.config.features)], 1)}
 
     def _tell(self, stage: str, share: float, view: FitView, drawn: Picture | None) -> None:
         """Report, every few seconds with the photo and the avatar beside it."""
@@ -273,14 +288,6 @@ def seen_in(
     mesh, shown = to_numpy(model.mesh(inputs).vertices), view.image.cpu().numpy() if picture is None else picture
     pixels, weights = seen_texels(model.head_model, texels, mesh, view.camera, bare_pixels(view) * counts, least)
     return Seen(bilinear(shown, pixels), weights)
-
-
-def _tint_only(model: GRMM, codes: Codes, surface: Surface, views: list[FitView]) -> dict[str, Tensor]:
-    """Stage 1 as an avatar: the color maps alone."""
-    with torch.no_grad():
-        colors = decode(model, codes.inputs(model, views[0]), views[0].camera).colors
-        tint = recolor(colors, codes.maps, surface) - colors
-        return {"decoders.appearance_mean": torch.cat([tint, tint.new_zeros(len(tint), model.config.features)], 1)}
 
 
 def photo_model_inputs(

@@ -90,15 +90,20 @@ def test_both_stages_bring_the_avatar_nearer_to_the_photo(person):
     image = track.image.copy()
     image[42:54, 40:58] *= np.array([0.4, 0.7, 1.0], np.float32)  # a mark that no code and no color map explains
     tracks = [dataclasses.replace(track, image=image)]
-    errors = []
+    errors, coded = [], []
     for second in (False, True):
-        avatar = invert(tracks, model, model.head_model, QUICK, info=info, second_stage=second)
+        avatar = invert(
+            tracks, model, model.head_model, QUICK, info=info, second_stage=second, on_codes=coded.append
+        )  # fmt: skip
         errors += photo_errors(photo_pictures(with_deltas(model, avatar.deltas, "avatar"), avatar, tracks, SIZE))
     plain = dataclasses.replace(avatar, z_id=info.z_id.mean(0))
     start = photo_errors(photo_pictures(model, plain, tracks, SIZE))[0]
     assert errors[0] < 0.6 * start
     assert errors[1] < 0.6 * errors[0]
     assert errors[1] < 0.03
+    for first in coded:  # told between the stages, whether there is a second or not
+        again = photo_errors(photo_pictures(with_deltas(model, first.deltas, "first"), first, tracks, SIZE))
+        assert again[0] == pytest.approx(errors[0], rel=1e-3)
     assert set(avatar.deltas) == {f"decoders.{name}_mean" for name in ("transform", "opacity", "appearance")}
     for name, value in model.state_dict().items():
         assert torch.equal(value, before[name]), f"{name} of the shared model was changed"

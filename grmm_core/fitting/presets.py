@@ -66,7 +66,7 @@ PRESETS: dict[str, Preset] = {
     "fast": Preset(
         "fast",
         CodeSettings(192, 96, 24, 2, 6, 16, goes_on=True),
-        DecoderSettings(((192, 16), (384, 24), (512, 0)), False),
+        DecoderSettings(((192, 8), (384, 12), (512, 0)), False),
         (4.0, 10.0),
     ),
     "standard": Preset(

@@ -27,6 +27,7 @@ from ..splat.api import rasterize_arrays
 from ..splat.types import GaussianArrays
 from .hair_grain import Directions, coiliness, coils, directions, waves, waviness
 from .hair_shape import FINE, Course, bent, field_to, offsets
+from .hidden_hair import as_flat
 from .strays import without_strays
 
 if TYPE_CHECKING:
@@ -117,7 +118,7 @@ def finished(match: Match, stages: Sequence[Stage], head: HeadModel) -> tuple[Gr
         return groom, match.length, match.score
     before, groom = groom, bent(groom, match.length, match.field, head)
     groom = bent(groom, 1.0, field_to(Strands(groom, head, FINE_STRANDS).course(stages, 1.0), stages, FINE), head)
-    groom = without_strays(groom, before, head)
+    groom = without_strays(as_flat(groom, before, match.length, stages, head), before, head)
     thin = Strands(groom, head, FINE_STRANDS)
     score = match.score - match.agreement + _agreement(stages, thin.course(stages, 1.0))
     return groom, 1.0, score + _waves_apart(match.waves, stages) - _waves_apart(waves(_even(few(groom))), stages)

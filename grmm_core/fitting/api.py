@@ -203,15 +203,20 @@ def _make(
 def _head_start(model: GRMM, told: Share) -> None:
     """Do what needs no photo while these are analysed and tracked.
 
-    Neighbours of texels and grooms to compare are kept for who asks.
+    Neighbours of texels, grooms to compare, and where skin has furrows are kept for who asks.
     """
+    from ..head import load_open_head
+    from ..wrinkles.relief import make_canvas
     from .hair_match import make_candidates
     from .surface import texel_surface
 
     texel_surface(model)
-    told(0.5)
+    told(0.4)
     if model.config.hairless:
         make_candidates(model.head_model)
+    told(0.8)
+    if model.head_model.name == load_open_head().name:
+        make_canvas(model.head_model, model.layout.uv, model.layout.grid)
 
 
 def _tracks(

@@ -57,9 +57,10 @@ def unlit_hair(
         path = Path(folder) / f"lit{EXTENSION}"
         save_avatar(avatar, path)
         number = session.open(path).id
+        shown = [Instance(number, photo_controls(avatar, head, index), wrinkles=0.0) for index in range(len(tracks))]
         unlit = [
-            track if light is None else _unlit(session, Instance(number, photo_controls(avatar, head, index)), track, light)
-            for index, (track, light) in enumerate(zip(tracks, lights, strict=True))
+            track if light is None else _unlit(session, instance, track, light)
+            for instance, track, light in zip(shown, tracks, lights, strict=True)
         ]
         session.release(number)
     scalp = hair.groom.groups == SCALP

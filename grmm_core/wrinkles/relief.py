@@ -68,6 +68,11 @@ class _Canvas(NamedTuple):
 _CANVAS: Recent[_Canvas] = Recent(1)
 
 
+def make_canvas(head: HeadModel, uv: np.ndarray, grid: int) -> None:
+    """Find what `Relief.of` paints on, which is kept for who asks; arguments as there."""
+    _CANVAS.get((head, uv, grid), lambda: _Canvas.of(head, uv, grid))
+
+
 class Relief(NamedTuple):
     """Furrows of one person on a part of the UV map.
 

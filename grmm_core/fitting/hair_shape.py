@@ -64,7 +64,7 @@ class Lattice(NamedTuple):
     smooth: float
 
 
-COARSE = (Lattice((9, 11, 9), 15, 0.0065, 0.6), Lattice((17, 21, 17), 11, 0.0037, 6.0))
+COARSE = (Lattice((9, 11, 9), 20, 0.0045, 0.6), Lattice((17, 21, 17), 20, 0.0025, 6.0))
 """For few strands that stand for all: one after the other."""
 FINE = (Lattice((17, 21, 17), 28, 0.00225, 1.5),)
 """For strands about as thin as they are drawn: few and wide ones reach farther than these, by half their width."""

@@ -46,5 +46,5 @@ def scales_shape(shape: tuple[int, ...]) -> tuple[int, int]:
 def _blocks(array: np.ndarray) -> np.ndarray:
     """Rows cut into blocks, the last filled up with zeros, [K, B, 64]; of rows shorter than that [K, 1, M]."""
     rows, count = scales_shape(array.shape)
-    width = min(BLOCK, array.shape[1])
+    width = max(1, min(BLOCK, array.shape[1]))
     return np.pad(array, ((0, 0), (0, count * width - array.shape[1]))).reshape(rows, count, width)

@@ -16,14 +16,14 @@
 ``faces_picture``      the faces of a photo as a picture, to check the choice
 ``photo_targets``      tracked photos as what the inversion compares with
 ``objective``          attributes drawn into a photo's camera, and their loss
-``code_stage``         stage 1, the codes (eq. 19); ``recoloring``: the photo's colors and light
+``code_stage``         stage 1, the codes (eq. 19); ``recoloring``: the photo's colors and light; ``adam``: the descent
 ``decoder_stage``      stage 2, the decoders (eq. 20); ``locality``, ``surface`` and ``inpainting`` keep and fill in the rest,
                        ``creases`` binds folds to the expression, ``grain`` carries seen detail on, ``lids`` are of plain skin
 ``hair_light``         hair as the studio's light would show it; ``blurring``: planes of pictures
 ``hair_stage``         a person's hair, for weights without hair; ``hair_view``: what a photo says of it; ``hair_grain``: how
                        strands lie, straight, wavy or coily; ``hair_match``: the groom that photos show; ``hair_shape``: bent
-                       to them, ``strays`` left out; ``hair_texture``: cut and colored by them;
-                       ``root_shade``: the skin under it; ``face_hair``: brows, beard and lashes
+                       to them, ``strays`` left out, and as flat behind (``hidden_hair``); ``hair_texture``: cut and
+                       colored by them; ``root_shade``: the skin under it; ``face_hair``: brows, beard and lashes
 ``settling``           what the avatar as a session draws it still lacks; ``mouth_colors``: lips and teeth at
                        rest; ``eye_colors``: irises, whites and the line of lashes
 ``invert``             tracks to an avatar by both stages

@@ -68,9 +68,9 @@ class _Canvas(NamedTuple):
 _CANVAS: Recent[_Canvas] = Recent(1)
 
 
-def make_canvas(head: HeadModel, uv: np.ndarray, grid: int) -> None:
-    """Find what `Relief.of` paints on, which is kept for who asks; arguments as there."""
-    _CANVAS.get((head, uv, grid), lambda: _Canvas.of(head, uv, grid))
+def make_canvas(head: HeadModel, uv: np.ndarray, grid: int) -> _Canvas:
+    """What `Relief.of` paints on, found once; arguments as there."""
+    return _CANVAS.get((head, uv, grid), lambda: _Canvas.of(head, uv, grid))
 
 
 class Relief(NamedTuple):
@@ -103,7 +103,7 @@ class Relief(NamedTuple):
             seed: Of what is the person's own.
             age: How far age has come, 0..1, see `age_of`.
         """
-        skin, rest, places, texel, face = _CANVAS.get((head, uv, grid), lambda: _Canvas.of(head, uv, grid))
+        skin, rest, places, texel, face = make_canvas(head, uv, grid)
         lines = paint_lines(rest, seed, age) * (skin[:, None] * line_depth(age) * LINE_DEPTH)
         kept = np.flatnonzero((np.abs(lines).max(1) > _LOWEST) & (places.max(0) > _LEAST))
         row, column = np.divmod(texel[kept], grid * FINER)

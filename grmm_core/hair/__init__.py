@@ -22,7 +22,7 @@ The map:
     compact.py    a groom in few bytes; packaged.py   the package's grooms
     prior.py      a code of few numbers that gives grooms between those seen; hair at random
     strands.py    a groom made ready: more strands, levels of detail, shape by settings;  ready.py   the last ones, kept
-    occlusion.py  how much light reaches the inside;  pigment.py   colors of strands
+    occlusion.py  how much light reaches the inside;  crowding.py  and single strands;  pigment.py  colors of strands
     grids.py      values on cells, nearest points;  grid_kernels.py compiled
     ribbons.py    strands as Gaussians and their shading, readable; strand_kernels.py compiled; gradients.py for PyTorch
     drawing.py    all of it for one picture

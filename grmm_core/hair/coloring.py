@@ -25,6 +25,7 @@ from .ready import ready
 from .ribbons import Eye
 from .roots import SCALP
 from .settings import HairSettings
+from .strands import DENSE
 
 if TYPE_CHECKING:
     from ..head import HeadModel
@@ -194,25 +195,28 @@ class WornHair:
         self._posed = []
         for block, share in zip(blocks, shares, strict=True):
             origin, axes = (part.astype(np.float32) for part in block.frames.at(vertices))
-            local = block.styled(settings)
+            local, crowded = block.styled(settings), None
             if still is not None and block.group == SCALP:
                 local = on_person(head, still, block.frames, local, block.lock)
             if still is not None:  # every stored strand is drawn, so that each can be seen
                 share = max(share, len(block.points) / len(block))
-            self._posed.append((block, np.matmul(local, axes) + origin[:, None], axes, share))
+            points = np.matmul(local, axes) + origin[:, None]
+            if block.group in DENSE:
+                crowded = block.crowded(points, axes)
+            self._posed.append((block, points, axes, share, crowded))
 
     def gaussians(self, settings: HairSettings) -> StrandGaussians:
         """In the colors of settings."""
         parts = [
-            strand_gaussians(block, points, axes, settings, share, self._eye, self._hiding, whole=True)
-            for block, points, axes, share in self._posed
+            strand_gaussians(block, points, axes, settings, share, self._eye, self._hiding, whole=True, crowded=crowded)
+            for block, points, axes, share, crowded in self._posed
         ]
         return StrandGaussians(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
     def pieces(self, settings: HairSettings) -> tuple[np.ndarray, np.ndarray]:
         """The groom's strand of each Gaussian of `gaussians`, [G], and where on it that is, 0..1 [G]."""
         rows, places = [], []
-        for block, _, _, share in self._posed:
+        for block, _, _, share, _ in self._posed:
             owner = block.rows[block.owner[: len(block.level(share, settings)[1])]]
             rows.append(np.repeat(owner, block.segments))
             middles = (np.arange(block.segments) + 0.5) / block.segments
@@ -222,12 +226,12 @@ class WornHair:
     def drawn(self, settings: HairSettings) -> tuple[np.ndarray, np.ndarray]:
         """Premultiplied display sRGB [H, W, 3] and cover [H, W]."""
         made = self.gaussians(settings)
-        picture = rasterize_arrays(GaussianArrays(*made, np.zeros((len(made.means), 0), np.float32)), self._camera)
+        picture = rasterize_arrays(GaussianArrays(*made[:5], np.zeros((len(made.means), 0), np.float32)), self._camera)
         return picture.rgb, picture.alpha
 
     def weights(self, pixels: np.ndarray) -> np.ndarray:
         """How much each Gaussian's color counts in the mean of some pixels [H, W], of those that strands cover; sums to 1."""
-        made = Gaussians(*(torch.from_numpy(part) for part in self.gaussians(HairSettings())))
+        made = Gaussians(*(torch.from_numpy(part) for part in self.gaussians(HairSettings())[:5]))
         made.colors = torch.zeros_like(made.colors, requires_grad=True)
         shown = rasterize(made, self._camera).rgb[..., 0] * torch.from_numpy(pixels)
         (gradient,) = torch.autograd.grad(shown.sum(), made.colors)

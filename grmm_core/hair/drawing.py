@@ -32,17 +32,21 @@ HEAD_REACH = 0.25  # metres before and behind the head's origin in which that is
 _MAX_CELLS = 128
 _NEAR = 1e-4  # metres, as in `triangle_depth`
 _STRANDS = 512  # of a task
-_SHAPES: tuple[tuple[int, ...], ...] = ((3,), (4,), (3,), (), (3,))  # of a row of `StrandGaussians`
+_SHAPES: tuple[tuple[int, ...], ...] = ((3,), (4,), (3,), (), (3,), (1,))  # of a row of `StrandGaussians`
 
 
 class StrandGaussians(NamedTuple):
-    """Gaussians of strands, head space: means [N, 3], quats [N, 4], scales [N, 3], opacities [N], display sRGB [N, 3]."""
+    """Gaussians of strands, head space: means [N, 3], quats [N, 4], scales [N, 3], opacities [N], display sRGB [N, 3].
+
+    And what each has of the light around it, which is in the colors (`StrandBlock.crowded`), [N, 1].
+    """
 
     means: np.ndarray
     quats: np.ndarray
     scales: np.ndarray
     opacities: np.ndarray
     colors: np.ndarray
+    share: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -162,7 +166,7 @@ def nearer(made: StrandGaussians, eye: Eye, metres: float) -> StrandGaussians:
 def strand_gaussians(
     block: StrandBlock, points: np.ndarray, axes: np.ndarray, settings: HairSettings, share: float,
     eye: Eye | None = None, hiding: Hiding | None = None, direction: np.ndarray | None = None, detail: float = 1.0,
-    whole: bool = False,
+    whole: bool = False, crowded: np.ndarray | None = None,
 ) -> StrandGaussians:  # fmt: skip
     """Return the Gaussians of a block, in the order of its strands.
 
@@ -177,6 +181,7 @@ def strand_gaussians(
         direction: Without an eye, the unit vector towards it that colors are for, [3]; None is from the front.
         detail: Share of these strands that is drawn, see `StrandBlock.level`.
         whole: With all segments of the strands, those that are not seen with opacity 0; else without these.
+        crowded: Of `StrandBlock.crowded`; None for strands that are as light as those around them.
     """
     from ..compute.threads import TASKS, for_each, pieces
     from .strand_kernels import pose, segments_forward, shade_into
@@ -205,7 +210,9 @@ def strand_gaussians(
         some.opacities[:] = seen[owner[own]].ravel()
         pose(points, axes, owner[own], block.spread[own], open_, some.opacities, where, light)
         segments_forward(where, radii[own], opacities[own], numbers, eye is not None, *some[:4])
-        shade_into(where, albedo[own], light, some.opacities, numbers, settings.sheen, some.colors)
+        share_of = some.share.reshape(len(own), segments)
+        share_of[:] = 1.0 if crowded is None else crowded[own] ** np.float32(settings.shading)  # as `lit`
+        shade_into(where, albedo[own], light, share_of, some.opacities, numbers, settings.sheen, some.colors)
         if tints is not None:
             np.clip(some.colors + tints[owner[own]].reshape(-1, 3), 0.0, 1.0, out=some.colors)
         rows = np.arange(len(some.opacities)) if whole else np.flatnonzero(some.opacities)

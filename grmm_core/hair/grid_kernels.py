@@ -52,6 +52,21 @@ def march(
 
 
 @compiled(**_OPTIONS)
+def fill(points: np.ndarray, widths: np.ndarray, low: np.ndarray, cell: float, grid: np.ndarray) -> None:
+    """Add what strands [N, K, 3] of diameters [N] cover, seen from the side, to cells from a corner on: m^2, [X, Y, Z]."""
+    for i in range(len(points)):
+        for k in range(points.shape[1] - 1):
+            x, y, z = points[i, k, 0], points[i, k, 1], points[i, k, 2]
+            dx, dy, dz = points[i, k + 1, 0] - x, points[i, k + 1, 1] - y, points[i, k + 1, 2] - z
+            length = math.sqrt(dx * dx + dy * dy + dz * dz)
+            pieces = int(length / cell) + 1
+            for piece in range(pieces):
+                t = (F(piece) + F(0.5)) / F(pieces)
+                at_x, at_y, at_z = x + t * dx - low[0], y + t * dy - low[1], z + t * dz - low[2]
+                grid[int(at_x / cell), int(at_y / cell), int(at_z / cell)] += length * widths[i] / F(pieces)
+
+
+@compiled(**_OPTIONS)
 def sample_into(grid: np.ndarray, at: np.ndarray, out: np.ndarray, first: int, end: int) -> None:
     """Values [P, C] between the centres of cells of a grid [X, Y, Z, C], at [P, 3]; float32."""
     for p in range(first, end):

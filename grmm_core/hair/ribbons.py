@@ -134,7 +134,7 @@ def _compensation(means: Array, axis: Array, long: Array, wide: Array, eye: Eye)
     return result
 
 
-def shade(means: Array, axes: Array, albedo: Array, light: Array, eye: Eye, sheen: float) -> Array:
+def shade(means: Array, axes: Array, albedo: Array, light: Array, share: Array, eye: Eye, sheen: float) -> Array:
     """Return what strands look like, linear RGB.
 
     Args:
@@ -142,6 +142,7 @@ def shade(means: Array, axes: Array, albedo: Array, light: Array, eye: Eye, shee
         axes: Unit direction of the strand, either way, [..., 3]; the shifts of the lobes need it from the root to the tip.
         albedo: Linear RGB, [..., 3].
         light: How open the surroundings are, on average and towards x, y and z (see `occlusion`), head space, [..., 4].
+        share: What of that light each has (see `crowding`), [...].
         eye: From where.
         sheen: Factor of the white glint; what is above 1 is also that of the colored one.
     """
@@ -168,5 +169,6 @@ def shade(means: Array, axes: Array, albedo: Array, light: Array, eye: Eye, shee
         lean = sine + sine_eye
         white = white + reaching * flat / (1.0 + ((lean - WHITE_SHIFT) * WHITE_SHARP) ** 2) ** 2
         colored = colored + reaching * flat / (1.0 + ((lean - COLORED_SHIFT) * COLORED_SHARP) ** 2) ** 2
-    result: Array = albedo * (matte + max(sheen - 1.0, 0.0) * COLORED * colored)[..., None] + (sheen * WHITE * white)[..., None]
+    body, glint = matte + max(sheen - 1.0, 0.0) * COLORED * colored, sheen * WHITE * white
+    result: Array = share[..., None] * (albedo * body[..., None] + glint[..., None])
     return result

@@ -230,8 +230,8 @@ _DISPLAY = np.append(linear_to_srgb(np.linspace(0.0, 1.0, 512) ** 2), 1.0).astyp
 
 @compiled(**_OPTIONS)
 def shade_into(
-    points: np.ndarray, albedo: np.ndarray, light: np.ndarray, opacities: np.ndarray, eye: np.ndarray, sheen: float,
-    colors: np.ndarray,
+    points: np.ndarray, albedo: np.ndarray, light: np.ndarray, share: np.ndarray, opacities: np.ndarray, eye: np.ndarray,
+    sheen: float, colors: np.ndarray,
 ) -> None:  # fmt: skip
     """`ribbons.shade` of every segment that has an opacity, as display sRGB.
 
@@ -239,6 +239,7 @@ def shade_into(
         points: [N, K, 3].
         albedo: Linear RGB at root and tip, [N, 2, 3].
         light: At the points, [N, K, 4].
+        share: What of it each segment has, [N, K-1].
         opacities: [N * (K-1)]; where it is 0, nothing is computed.
         eye: See the module.
         sheen: As in `ribbons.shade`.
@@ -296,7 +297,7 @@ def shade_into(
                     b = _ONE / (_ONE + b * b)
                     colored += reaching * flat * b * b
             matte += glint * F(COLORED) * colored
-            white *= F(sheen) * F(WHITE)
+            matte, white = share[i, k] * matte, share[i, k] * white * F(sheen) * F(WHITE)
             colors[row, 0], colors[row, 1] = _display(red * matte + white), _display(green * matte + white)
             colors[row, 2] = _display(blue * matte + white)
 

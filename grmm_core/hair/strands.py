@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .crowding import crowding
 from .grids import nearest
 from .groom import Groom
 from .knots import tied
@@ -21,6 +22,7 @@ from .pigment import albedos, locks_of
 from .roots import BEARD, GROUPS, SCALP, RootFrames
 from .settings import HairSettings
 
+DENSE = (SCALP, BEARD)  # groups of many strands, which cover one another
 HAIRS = 100_000  # on a head
 SOFT = 0.35  # power of the strands that a drawn one stands for: how much fainter it is, and wider
 SOFTEST = 0.9  # likewise of the shortest: wide bundles of these are dots
@@ -108,6 +110,18 @@ class StrandBlock:
         """The same strands with every second point and the last, and these points' numbers: for playback."""
         some = np.append(np.arange(0, self.segments, 2), self.segments)
         return replace(self, points=self.points[:, some], light=np.ascontiguousarray(self.light[:, some])), some
+
+    def crowded(self, points: np.ndarray, axes: np.ndarray) -> np.ndarray:
+        """What each strand's segments have of `light`, as they lie on top or below, float32 [N, K - 1] (`crowding`).
+
+        Args:
+            points: The parents on a person at rest, head space, metres, [M, K, 3].
+            axes: Of their roots, as rows, [M, 3, 3].
+        """
+        axes, t = np.asarray(axes, np.float32), np.linspace(0, 1, points.shape[1], dtype=np.float32)[:, None]
+        around = self.spread @ axes[self.owner]  # in head space, [N, 2, 3]
+        lying = np.asarray(points, np.float32)[self.owner] + around[:, :1] * (1 - t) + around[:, 1:] * t
+        return crowding(lying, self.widths.mean(1)[self.owner], (self.light[..., 1:] @ axes)[self.owner])
 
     @functools.cached_property
     def softness(self) -> np.ndarray:
@@ -295,7 +309,7 @@ def _block(
     total = len(groom) * children
     owner = np.tile(np.arange(len(groom), dtype=np.int32), children)
     spread = _spread(groom, owner, vertices, faces, g)
-    if group in (SCALP, BEARD):
+    if group in DENSE:
         fresh = slice(len(groom), total)  # the children
         shorter = shortness(lengths)[:, None] * SHORTER if group == SCALP else np.full((len(groom), 1), BEARD_SHORTER)
         left = 1.0 - g.random((total, 1))[fresh] * shorter[owner[fresh]]
@@ -365,6 +379,12 @@ def _spread(groom: Groom, owner: np.ndarray, vertices: np.ndarray, faces: np.nda
     spread = root_distance(groom, vertices, faces) * np.stack([root, tip], 1)
     spread[: len(groom)] = 0.0
     return spread
+
+
+def means_between(segments: np.ndarray, some: np.ndarray) -> np.ndarray:
+    """What segments [N, K-1] of strands have in the mean between `some` of their points, the first and last among them."""
+    found: np.ndarray = np.add.reduceat(segments, some[:-1], 1) / np.diff(some).astype(np.float32)
+    return found
 
 
 def smoothed(points: np.ndarray) -> np.ndarray:

@@ -258,7 +258,7 @@ def _gaussians(
         hiding.hide(to_numpy(own.means), Eye.of(local_camera).numbers(), seen, _FAR_SIDE)
         own = dataclasses.replace(own, opacities=own.opacities * as_like(seen, own.opacities))
     if strands is not None:
-        own = Gaussians.concatenate([dataclasses.replace(own, features=None), strands])
+        own = Gaussians.concatenate([dataclasses.replace(part, features=None) for part in (own, strands)])
     own_slice = None if item.model is None else channels.features.get(id(item.model))
     light: list[np.ndarray] = []
     if channels.light is not None:

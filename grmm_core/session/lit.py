@@ -15,7 +15,7 @@ import numpy as np
 
 from ..errors import ShapeError
 from ..geometry.boxes import box_around
-from ..geometry.libraries import to_numpy
+from ..geometry.libraries import present, to_numpy
 from ..light.bounce import nearest_points
 from ..light.cornea import bulged, on_eyes
 from ..light.expressed import brightness, rig_in_colors, shut_eyes
@@ -78,7 +78,7 @@ class LitAvatar:
 
         Args:
             eye: The viewer's place in head space, [3].
-            strands: Drawn behind the skin's, or None.
+            strands: Drawn behind the skin's, or None (`Wardrobe.gaussians`).
 
         Returns:
             [N, LIGHT_CHANNELS] float32 of the skin and of the strands, if any, as of `shading.relative`.
@@ -91,9 +91,9 @@ class LitAvatar:
         skin, self._tilts = cache.get((owner, "lit", self._lod, *key), lambda: self._skin(eye))
         if strands is None:
             return [skin]
-        points, quats = to_numpy(strands.means), to_numpy(strands.quats)
+        points, quats, share = (to_numpy(part) for part in (strands.means, strands.quats, present(strands.features)))
         these = hash(np.ascontiguousarray(points).tobytes())  # combed, swinging, thinned out
-        hair = cache.get((owner, "lit hair", these, *key), lambda: (self._strands(points, quats, eye, these),))[0]
+        hair = cache.get((owner, "lit hair", these, *key), lambda: (self._strands(points, quats, share, eye, these),))[0]
         return [skin, hair]
 
     def surface(self, light: np.ndarray) -> LitSurface | None:
@@ -150,7 +150,7 @@ class LitAvatar:
         asked[self._at_vertices] = True
         return np.flatnonzero(asked).astype(np.int32)
 
-    def _strands(self, points: np.ndarray, quats: np.ndarray, eye: np.ndarray, these: int) -> np.ndarray:
+    def _strands(self, points: np.ndarray, quats: np.ndarray, share: np.ndarray, eye: np.ndarray, these: int) -> np.ndarray:
         """What lights strands, `these`, as `channels` has it, less what their colors hold of the rig's."""
         grid, centre = self._grid, self._posture.middle
         coordinates = grid.coordinates(np.eye(3), np.zeros(3))
@@ -168,7 +168,9 @@ class LitAvatar:
 
         key = (self._target.id, "rig on hair", these, eye.tobytes(), self._posture.to_rest.tobytes())
         learned = Learned(*self._evaluator.cache.get((*key, *self._inputs.identity_key, *self._inputs.shape_key), make))
-        return relative(scene, nowhere, nowhere, nowhere, learned, self._response.gloss)
+        light = relative(scene, nowhere, nowhere, nowhere, learned, self._response.gloss)
+        light[:, HIGHLIGHTS] *= share  # which their colors hold already
+        return light
 
     # --- what is kept ----------------------------------------------------------------------------------------------
 

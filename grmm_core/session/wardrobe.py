@@ -30,7 +30,7 @@ from ..hair.ribbons import Eye
 from ..hair.roots import BEARD, GROUPS, LASHES, SCALP
 from ..hair.settings import HairSettings
 from ..hair.shoulders import Shoulders
-from ..hair.strands import StrandBlock
+from ..hair.strands import DENSE, StrandBlock, means_between
 from ..head import HeadModel
 from ..splat.types import Gaussians
 from .cap import Cap
@@ -234,6 +234,8 @@ class Wardrobe:
     ) -> Gaussians | None:  # fmt: skip
         """Return the strands' Gaussians in head space as the engine's arrays; None where there are no strands.
 
+        Their one feature is `StrandGaussians.share`.
+
         Args:
             evaluator: Of the session.
             target: Who wears them.
@@ -256,17 +258,20 @@ class Wardrobe:
         parts = []
         for (layer, number, block), share in zip(ready, shares, strict=True):
             settings = worn.settings[block.group]
-            fewer = min(detail, 1.0) if block.group in (SCALP, BEARD) else 1.0
+            fewer = min(detail, 1.0) if block.group in DENSE else 1.0
             count = block.parents(share, fewer)
             points, axes = self._posed(evaluator, target, inputs, layer, settings, vertices, number, block, count)
             if block.group == SCALP and layer.swing is not None:
                 points = displaced(points, layer.swing[block.rows[: len(points)]])
+            crowded = None
+            if block.group in DENSE:
+                crowded = self._crowded(evaluator, target, inputs, layer, number, block, fewer < 1.0)
             if fewer < 1.0:
                 block, some = block.sparse
                 points = points[:, some]
             if block.group == LASHES:  # also of curves: small triangles would twist them
                 points = self._on_lids(head, layer, settings, vertices, block, points)
-            made = strand_gaussians(block, points, axes, settings, share, eye, hiding, direction, fewer)
+            made = strand_gaussians(block, points, axes, settings, share, eye, hiding, direction, fewer, crowded=crowded)
             raised = raised_by(block, lod)
             if raised and eye is not None:
                 made = nearer(made, eye, raised)
@@ -335,17 +340,6 @@ class Wardrobe:
         vertices: np.ndarray, number: int, block: StrandBlock, count: int | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
         """Parents' points in head space and their roots' axes; of the first `count` where these are made anew."""
-        from ..hair.strand_kernels import stand
-
-        rest, head = at_rest(target, inputs), target.model.head_model
-
-        def styled() -> tuple[np.ndarray, tuple[Shoulders, ...]]:
-            local = block.styled(settings)
-            if block.group != SCALP:
-                return local, ()
-            still = to_numpy(evaluator.mesh(target, rest).vertices)
-            local = on_person(head, still, block.frames, local, block.lock)
-            return local, Shoulders.of(head, still, stood(local, *block.frames.standing(still)), block.lock)
 
         def make() -> tuple[np.ndarray, np.ndarray]:
             origin, axes = block.frames.standing(vertices, some)
@@ -355,17 +349,11 @@ class Wardrobe:
                     local = np.einsum("mkj,mij->mki", moved - origin[:, None], axes)
                     moved = np.matmul(block.styled(settings, local), axes) + origin[:, None]
                 return moved, axes
-            key = (target.id, "styled", number, *layer.key, *settings.shape_key, *rest.mesh_key)
-            local, shoulders = evaluator.cache.get(key, styled)
-            points = stood(local, origin, axes)
+            local, shoulders = self._at_rest(evaluator, target, inputs, layer, settings, number, block)
+            points = _stood(local, origin, axes)
             for one in shoulders if layer.swing is None else ():
                 points = one.left(vertices, points)
             return points, axes
-
-        def stood(local: np.ndarray, origin: np.ndarray, axes: np.ndarray) -> np.ndarray:
-            points = np.empty((len(origin), *local.shape[1:]), np.float32)
-            stand(np.ascontiguousarray(local, np.float32), origin, axes, points)
-            return points
 
         some = None if layer.points is not None else count
         if layer.points is not None:
@@ -373,6 +361,41 @@ class Wardrobe:
         return evaluator.cache.get(
             (target.id, "strands", number, some, layer.swing is None, *layer.key, *settings.shape_key, *inputs.mesh_key), make
         )
+
+    def _at_rest(
+        self, evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, layer: Layer, settings: HairSettings, number: int,
+        block: StrandBlock,
+    ) -> tuple[np.ndarray, tuple[Shoulders, ...]]:  # fmt: skip
+        """Parents' points in the axes of their roots, on the person at rest, and how shoulders push them."""
+        rest, head = at_rest(target, inputs), target.model.head_model
+
+        def make() -> tuple[np.ndarray, tuple[Shoulders, ...]]:
+            local = block.styled(settings)
+            if block.group != SCALP:
+                return local, ()
+            still = to_numpy(evaluator.mesh(target, rest).vertices)
+            local = on_person(head, still, block.frames, local, block.lock)
+            return local, Shoulders.of(head, still, _stood(local, *block.frames.standing(still)), block.lock)
+
+        return evaluator.cache.get((target.id, "styled", number, *layer.key, *settings.shape_key, *rest.mesh_key), make)
+
+    def _crowded(
+        self, evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, layer: Layer, number: int, block: StrandBlock,
+        sparse: bool,
+    ) -> np.ndarray:  # fmt: skip
+        """`StrandBlock.crowded` on the person at rest, of hair as it was put on: shape settings change too often."""
+        rest = at_rest(target, inputs)
+
+        def make() -> tuple[np.ndarray]:
+            origin, axes = block.frames.standing(to_numpy(evaluator.mesh(target, rest).vertices))
+            local, _ = self._at_rest(evaluator, target, inputs, layer, HairSettings(), number, block)
+            return (block.crowded(_stood(local, origin, axes), axes),)
+
+        def coarser() -> tuple[np.ndarray]:
+            return (means_between(evaluator.cache.get(key, make)[0], block.sparse[1]),)
+
+        key = (target.id, "crowded", number, *layer.key, *rest.mesh_key)
+        return evaluator.cache.get((*key, "sparse"), coarser)[0] if sparse else evaluator.cache.get(key, make)[0]
 
     def _on_lids(
         self, head: HeadModel, layer: Layer, settings: HairSettings, vertices: np.ndarray, block: StrandBlock,
@@ -388,6 +411,15 @@ class Wardrobe:
 
         lashes = _kept(self._lashes, (*layer.key, head.name, *settings.shape_key), make)
         return points if lashes is None else lashes.drawn_points(vertices.astype(float)).astype(np.float32)
+
+
+def _stood(local: np.ndarray, origin: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """Points [M, K, 3] of strands in the axes [M, 3, 3] of their roots [M, 3], in head space."""
+    from ..hair.strand_kernels import stand
+
+    points = np.empty((len(origin), *local.shape[1:]), np.float32)
+    stand(np.ascontiguousarray(local, np.float32), origin, axes, points)
+    return points
 
 
 def random_hair(seed: int) -> Hair:

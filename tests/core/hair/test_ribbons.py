@@ -104,12 +104,12 @@ def test_compiled_shading_is_the_readable_text(eye, sheen):
     points = strands(20, 5)[0].astype(np.float32)
     albedo = np.repeat(g.uniform(0.01, 0.5, (20, 1, 3)), 2, 1).astype(np.float32)
     light = np.concatenate([g.uniform(0.05, 0.9, (20, 1, 1)), g.normal(0, 0.3, (20, 1, 3))], 2).repeat(5, 1).astype(np.float32)
-    colors = np.empty((80, 3), np.float32)
-    shade_into(points, albedo, light, np.ones(80, np.float32), EYES[eye].numbers(), sheen, colors)
+    colors, share = np.empty((80, 3), np.float32), g.uniform(0.1, 2.0, (20, 4)).astype(np.float32)
+    shade_into(points, albedo, light, share, np.ones(80, np.float32), EYES[eye].numbers(), sheen, colors)
     step = np.diff(points, axis=1)
     axes = step / np.linalg.norm(step, axis=2, keepdims=True)
     means = 0.5 * (points[:, 1:] + points[:, :-1])
-    shown = shade(means, axes, np.repeat(albedo[:, :1], 4, 1), light[:, 1:], EYES[eye], sheen)
+    shown = shade(means, axes, np.repeat(albedo[:, :1], 4, 1), light[:, 1:], share, EYES[eye], sheen)
     np.testing.assert_allclose(colors.reshape(20, 4, 3), linear_to_srgb(np.clip(shown, 0, 1)), atol=2e-3)
 
 

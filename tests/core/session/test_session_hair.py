@@ -335,7 +335,8 @@ def test_brows_are_seen_at_coarser_levels_of_detail(session):
 def test_what_is_moved_nearer_to_an_eye_is_seen_where_it_was():
     generator = np.random.default_rng(0)
     points = generator.normal(scale=0.1, size=(50, 3)).astype(np.float32)
-    made = StrandGaussians(points, *(np.zeros((50, k), np.float32) for k in (4, 3)), np.ones(50, np.float32), points)
+    rest = *(np.zeros((50, k), np.float32) for k in (4, 3)), np.ones(50, np.float32), points, np.ones((50, 1), np.float32)
+    made = StrandGaussians(points, *rest)
     for flat in (False, True):
         camera = replace(Camera.orbit(100, 100, 30, 10), orthographic=flat)
         before, after = (camera.project(each) for each in (points, nearer(made, Eye.of(camera), 0.01).means))

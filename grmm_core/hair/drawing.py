@@ -187,6 +187,7 @@ def strand_gaussians(
     from .strand_kernels import pose, segments_forward, shade_into
 
     radii, there, albedo = block.drawn(share, settings, detail)
+    power = np.float32(settings.shading * share)  # as `StrandBlock.lit`; a strand that stands for others is their mean
     count, segments = len(there), block.segments
     owner = block.owner[:count]
     points, axes = (np.ascontiguousarray(part, np.float32) for part in (points, axes))
@@ -211,7 +212,7 @@ def strand_gaussians(
         pose(points, axes, owner[own], block.spread[own], open_, some.opacities, where, light)
         segments_forward(where, radii[own], opacities[own], numbers, eye is not None, *some[:4])
         share_of = some.share.reshape(len(own), segments)
-        share_of[:] = 1.0 if crowded is None else crowded[own] ** np.float32(settings.shading)  # as `lit`
+        share_of[:] = 1.0 if crowded is None else crowded[own] ** power
         shade_into(where, albedo[own], light, share_of, some.opacities, numbers, settings.sheen, some.colors)
         if tints is not None:
             np.clip(some.colors + tints[owner[own]].reshape(-1, 3), 0.0, 1.0, out=some.colors)

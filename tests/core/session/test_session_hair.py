@@ -18,6 +18,10 @@ from grmm_core.geometry.camera import Camera
 from grmm_core.hair import HairSettings, library_groom
 from grmm_core.hair.drawing import StrandGaussians, nearer
 from grmm_core.hair.ribbons import Eye
+from grmm_core.hair.strands import StrandBlock
+from grmm_core.light.parse import lighting_of
+from grmm_core.light.relight import to_linear
+from grmm_core.light.shading import Response
 from grmm_core.session import FINAL_STRANDS, HairUse, Instance, RenderOptions, create_session
 from grmm_core.session.swinging import swinging
 
@@ -50,6 +54,35 @@ def test_the_hair_pass_is_the_cover_of_the_strands(session):
     blond = drawn(session, HairUse("groom:bob", HairSettings(melanin=0.05)))
     hair = bob["hair"][..., 0] > 0.9
     assert blond["rgb"][hair].mean() > black["rgb"][hair].mean() + 0.15
+
+
+def strand_contrast(picture: dict[str, np.ndarray]) -> tuple[float, float]:
+    """Brightness of hair and how much of it neighbouring rows of pixels differ from their mean, in the mean."""
+    linear, hair = to_linear(picture["rgb"]).mean(-1), picture["hair"][..., 0] > 0.95
+    inside = hair[:, 1:-1] & hair[:, 2:] & hair[:, :-2]
+    fine = linear[:, 1:-1] - 0.5 * (linear[:, 2:] + linear[:, :-2])
+    mean = float(linear[:, 1:-1][inside].mean())
+    return mean, float(np.abs(fine[inside]).mean()) / mean
+
+
+@pytest.mark.parametrize("words", [(), ("lamp:100,25,40", "world:0.2")])
+def test_single_strands_stand_out_in_the_studios_light_and_in_a_lamps(monkeypatch, words):
+    use, camera = HairUse("groom:long", HairSettings(melanin=0.8)), Camera.orbit(360, 360, 90, fov=20)
+
+    def look() -> tuple[float, float]:
+        with create_session("local", engine="plain") as session:
+            response = Response() if words else None
+            instance = Instance(session.open("default").id, hair=use, response=response)
+            options = RenderOptions(
+                passes=("rgb", "hair"), strands=FINAL_STRANDS, lighting=lighting_of(words) if words else None
+            )
+            return strand_contrast(session.render([instance], camera, options))
+
+    bright, contrast = look()
+    monkeypatch.setattr(StrandBlock, "crowded", lambda block, points, axes: np.ones((len(block), block.segments), np.float32))
+    even, smooth = look()
+    assert contrast > 1.2 * smooth
+    assert bright == pytest.approx(even, rel=0.35)
 
 
 def test_an_avatar_draws_what_it_drew_before_while_it_wears_its_own(session):

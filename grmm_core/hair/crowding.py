@@ -18,7 +18,6 @@ STEPS = 3  # cells that are looked ahead
 PLACES = (0.25, 0.75)  # of a segment from where
 AROUND, NEAR = 0.7, 1.3  # powers of what both kinds of cells tell: chosen by twelve captured people, as the steps
 LEAST, MOST = 0.07, 2.1
-HIDING = 1.7  # how fast what lies below is hidden: ten grooms seen from four sides are as bright as without all this
 
 
 def crowding(points: np.ndarray, widths: np.ndarray, open_to: np.ndarray) -> np.ndarray:
@@ -37,7 +36,7 @@ def crowding(points: np.ndarray, widths: np.ndarray, open_to: np.ndarray) -> np.
     way = (way / np.maximum(np.linalg.norm(way, axis=2, keepdims=True), 1e-6)).astype(np.float32)
     near, around = (_ahead(points, widths, way, cell) for cell in (CELL, COARSE))
     factors = np.clip((1.0 + around) ** np.float32(AROUND) * (1.0 + near) ** np.float32(-NEAR), LEAST, MOST)
-    seen = np.exp(-np.float32(HIDING) * near)
+    seen = np.exp(-near)
     found: np.ndarray = factors * np.float32(seen.sum() / max(float((seen * factors).sum()), 1e-6))
     return found
 

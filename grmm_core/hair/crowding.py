@@ -18,6 +18,7 @@ STEPS = 3  # cells that are looked ahead
 PLACES = (0.25, 0.75)  # of a segment from where
 AROUND, NEAR = 0.7, 1.3  # powers of what both kinds of cells tell: chosen by twelve captured people, as the steps
 LEAST, MOST = 0.07, 2.1
+MOST_CELLS = 3e7  # of a grid; hair down to the floor has larger cells
 
 
 def crowding(points: np.ndarray, widths: np.ndarray, open_to: np.ndarray) -> np.ndarray:
@@ -45,11 +46,13 @@ def _ahead(points: np.ndarray, widths: np.ndarray, way: np.ndarray, cell: float)
     """Optical depth of the hair that lies before segments, on the way [N, K-1, 3], as cells of an edge know it, [N, K-1]."""
     from .grid_kernels import fill
 
+    smooth, room = cell == COARSE, float(np.prod(np.ptp(points, (0, 1)) + 4 * COARSE))
+    cell = max(cell, (room / MOST_CELLS) ** (1 / 3))
     margin = 2 * cell + STEPS * CELL
     low = points.min((0, 1)) - np.float32(margin)
     grid = np.zeros(np.ceil((points.max((0, 1)) - low + margin) / cell).astype(int), np.float32)
     fill(points, widths, low, np.float32(cell), grid)
-    if cell == COARSE:
+    if smooth:
         grid = smooth_grid(grid)
     grid *= np.float32(np.pi / 4 / cell**3)
     total = np.zeros(way.shape[:2], np.float32)

@@ -52,6 +52,12 @@ def test_hair_pressed_flat_is_not_dark_on_top():
     assert on_top.mean() > 1.0
 
 
+def test_hair_of_any_length_has_room():
+    spread = layers(0.0, 0.001) * np.array([50.0, 4000.0, 50.0])  # 2 m wide and long, 4 m high
+    found = crowding(spread, np.full(len(spread), WIDTH), np.broadcast_to([0.0, 1.0, 0.0], spread.shape))
+    assert np.isfinite(found).all()
+
+
 def test_what_is_filled_in_is_the_area_of_the_strands():
     points = np.random.default_rng(3).uniform(0.01, 0.09, (50, 6, 3)).astype(np.float32)
     widths = np.linspace(0.0001, 0.0003, 50, dtype=np.float32)

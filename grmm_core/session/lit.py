@@ -93,7 +93,8 @@ class LitAvatar:
             return [skin]
         points, quats, share = (to_numpy(part) for part in (strands.means, strands.quats, present(strands.features)))
         these = hash(np.ascontiguousarray(points).tobytes())  # combed, swinging, thinned out
-        hair = cache.get((owner, "lit hair", these, *key), lambda: (self._strands(points, quats, share, eye, these),))[0]
+        lit_hair = owner, "lit hair", these, hash(np.ascontiguousarray(share).tobytes()), *key
+        hair = cache.get(lit_hair, lambda: (self._strands(points, quats, share, eye, these),))[0]
         return [skin, hair]
 
     def surface(self, light: np.ndarray) -> LitSurface | None:

@@ -385,6 +385,7 @@ class Wardrobe:
     ) -> np.ndarray:  # fmt: skip
         """`StrandBlock.crowded` on the person at rest, of hair as it was put on: shape settings change too often."""
         rest = at_rest(target, inputs)
+        key = (target.id, "crowded", number, *layer.key, *rest.mesh_key)
 
         def make() -> tuple[np.ndarray]:
             origin, axes = block.frames.standing(to_numpy(evaluator.mesh(target, rest).vertices))
@@ -394,7 +395,6 @@ class Wardrobe:
         def coarser() -> tuple[np.ndarray]:
             return (means_between(evaluator.cache.get(key, make)[0], block.sparse[1]),)
 
-        key = (target.id, "crowded", number, *layer.key, *rest.mesh_key)
         return evaluator.cache.get((*key, "sparse"), coarser)[0] if sparse else evaluator.cache.get(key, make)[0]
 
     def _on_lids(

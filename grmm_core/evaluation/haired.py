@@ -21,6 +21,8 @@ from ..data.dataset import CaptureDataset
 from ..data.types import Shot
 from ..fitting.hair_grain import directions
 from ..geometry.camera import Camera
+from ..light.lamps import Lighting
+from ..light.shading import Response
 from ..model.people import made_avatar
 from ..session import FINAL_STRANDS, HairUse, create_session
 from ..session.values import Instance, RenderOptions
@@ -54,7 +56,9 @@ class Haired:
         """End the session."""
         self._session.close()
 
-    def draw(self, person: DrawnPerson, shot: Shot, camera: Camera, seen: SeenIn) -> np.ndarray:
+    def draw(
+        self, person: DrawnPerson, shot: Shot, camera: Camera, seen: SeenIn, lighting: Lighting | None = None
+    ) -> np.ndarray:  # fmt: skip
         """Draw a person over black, display sRGB [H, W, 3].
 
         Args:
@@ -62,6 +66,7 @@ class Haired:
             shot: Expression and pose.
             camera: In head space.
             seen: The views from which the hair's colors may be taken.
+            lighting: Another light than the studio's, in the head's axes; no skin scatters it.
         """
         if id(person) not in self._open:
             self._open[id(person)] = (person, *self._opened(person, shot.subject, seen))
@@ -72,8 +77,9 @@ class Haired:
         expression[: more.size] = more
         controls = replace(controls, expression=expression, pose=(shot.pose - plain.pose).astype(np.float32))
         _, avatar, hair = self._open[id(person)]
-        instance = Instance(avatar, controls, hair=hair)
-        return self._session.render([instance], camera, RenderOptions(background=(0.0, 0.0, 0.0), strands=self._strands))["rgb"]
+        instance = Instance(avatar, controls, hair=hair, response=Response(scattering=0.0) if lighting else None)
+        options = RenderOptions(background=(0.0, 0.0, 0.0), strands=self._strands, lighting=lighting)
+        return self._session.render([instance], camera, options)["rgb"]
 
     def _opened(self, person: DrawnPerson, subject: str, seen: SeenIn) -> tuple[int, HairUse]:
         avatar, use = person.avatar or self._made(person), HairUse()

@@ -166,7 +166,7 @@ def nearer(made: StrandGaussians, eye: Eye, metres: float) -> StrandGaussians:
 def strand_gaussians(
     block: StrandBlock, points: np.ndarray, axes: np.ndarray, settings: HairSettings, share: float,
     eye: Eye | None = None, hiding: Hiding | None = None, direction: np.ndarray | None = None, detail: float = 1.0,
-    whole: bool = False, crowded: np.ndarray | None = None,
+    whole: bool = False, crowded: np.ndarray | None = None, evened: float = 1.0,
 ) -> StrandGaussians:  # fmt: skip
     """Return the Gaussians of a block, in the order of its strands.
 
@@ -182,12 +182,13 @@ def strand_gaussians(
         detail: Share of these strands that is drawn, see `StrandBlock.level`.
         whole: With all segments of the strands, those that are not seen with opacity 0; else without these.
         crowded: Of `StrandBlock.crowded`; None for strands that are as light as those around them.
+        evened: Power of that: a strand that stands for others is their mean.
     """
     from ..compute.threads import TASKS, for_each, pieces
     from .strand_kernels import pose, segments_forward, shade_into
 
     radii, there, albedo = block.drawn(share, settings, detail)
-    power = np.float32(settings.shading * share)  # as `StrandBlock.lit`; a strand that stands for others is their mean
+    power = np.float32(settings.shading * evened)  # as `StrandBlock.lit`
     count, segments = len(there), block.segments
     owner = block.owner[:count]
     points, axes = (np.ascontiguousarray(part, np.float32) for part in (points, axes))

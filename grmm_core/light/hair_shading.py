@@ -1,9 +1,9 @@
-"""Hair in light: Kajiya and Kay's strands (1989), shaded by where on the head they are.
+"""Hair in light: a mass of strands, with the highlights of Kajiya and Kay (1989).
 
-A strand lights up where it lies across the light; a mass of them is bright on the lamp's side and dark on the other. Highlights
-stand where the strand mirrors the lamp, wide along the head and narrow along the strand; those from inside the strand have its
-color. What hair keeps off skin and hair is that of a cloud on a grid of cells. What head, hair and things keep off hair is
-known on a coarser grid (`LightGrid`), whatever the camera.
+A mass of strands is bright on the lamp's side and dark on the other, whichever way they lie: light goes from strand to strand.
+Highlights stand where the strand mirrors the lamp, wide along the head and narrow along the strand; those from inside the
+strand have its color. What hair keeps off skin and hair is that of a cloud on a grid of cells. What head, hair and things keep
+off hair is known on a coarser grid (`LightGrid`), whatever the camera.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from .shading import Arrived, Response, Transport, arriving_share, colors_of, la
 from .shadows import compiled_kernels
 from .surroundings import BANDS, basis
 
-_WANDER = 1.5  # how far light reaches around a mass of hair; fitted to Cycles, three people, with what follows
-_LOBES = ((120.0, 0.030), (18.0, 1.0))  # exponent and strength: reflected at the surface, and, in the hair's color, from inside
-_THROUGH = 0.1  # of the light of a lamp behind: what comes through the rim
+# fitted to Cycles, four people in six lights from two sides
+_WANDER = 1.3  # how far light reaches around a mass of hair
+_LOBES = ((120.0, 0.015), (18.0, 0.2))  # exponent and strength: reflected at the surface, and, in the hair's color, from inside
 _HIDING = 0.6
 """How much more of a lamp falls on strands that are seen from its side, and less on those seen from the other.
 
@@ -195,7 +195,7 @@ def strand_light(
     from .strand_light_kernel import shade
 
     out = np.empty((len(points), 8), np.float32)
-    factors = np.array([response.intensity, response.gloss, _WANDER, _THROUGH, *(strength for _, strength in _LOBES), _HIDING])
+    factors = np.array([response.intensity, response.gloss, _WANDER, *(strength for _, strength in _LOBES), _HIDING])
     arrays = (
         lamp_rows(lamps, centre), points, quats, reaching.parts, reaching.coordinates, centre, eye,
         harmonics * BANDS[:, None], factors,
@@ -223,20 +223,17 @@ def strand_transport(
     outward = outward / np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
     view = eye - points
     view = view / np.maximum(np.linalg.norm(view, axis=1, keepdims=True), 1e-9)
-    rim = np.clip(1.0 - np.abs((outward * view).sum(1)), 0.0, 1.0) ** 2
     diffuse, highlights = [], []
     for lamp, part in zip(lamps, seen, strict=True):
         towards, strength = arriving(lamp, points)
-        across = np.sqrt(np.clip(1.0 - (tangents * towards).sum(1) ** 2, 0.0, 1.0))
         facing = np.clip(((outward * towards).sum(1) + _WANDER) / (1.0 + _WANDER), 0.0, 1.0)
         opposite = (view * towards).sum(1)
-        behind = _THROUGH * rim * np.clip(-opposite, 0.0, 1.0)
         shown = part / (part + (1.0 - part) * (1.0 - _HIDING * opposite) ** 2 + 1e-9)
         half = towards + view
         half = half / np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
         mirrored = np.clip(1.0 - (tangents * half).sum(1) ** 2, 0.0, 1.0)
         shine, colored = (weight * mirrored ** (0.5 * power) for power, weight in _LOBES)
-        amount = ((across * (facing + behind) * shown + colored * facing * shown) * strength * response.intensity)[:, None]
+        amount = ((1.0 + colored) * facing * shown * strength * response.intensity)[:, None]
         diffuse.append(np.broadcast_to(amount, (len(points), 3)))
         highlights.append(shine * facing * shown * strength * (response.gloss * response.intensity))
     count = len(points)

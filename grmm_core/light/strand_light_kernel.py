@@ -19,7 +19,7 @@ _0, _1, _2, _3, _TINY = single(0.0), single(1.0), single(2.0), single(3.0), sing
 _B = BLOCK
 # where its quantities begin in the scratch array: three columns of a vector, or one
 _POINT, _TANGENT, _OUTWARD, _VIEW, _LAMP = 0, 3 * _B, 6 * _B, 9 * _B, 12 * _B
-_POWER, _RIM, _ALONG, _SUMS, _PARTS = 15 * _B, 16 * _B, 17 * _B, 18 * _B, 26 * _B
+_POWER, _ALONG, _SUMS, _PARTS = 15 * _B, 16 * _B, 17 * _B, 25 * _B
 
 
 @compiled(inline="always", **OPTIONS)
@@ -35,7 +35,7 @@ def _lobes(square: float, surface: float, inside: float) -> tuple[float, float]:
 @compiled(**OPTIONS)
 def _find(
     w: np.ndarray, points: np.ndarray, quats: np.ndarray, parts: np.ndarray, to_grid: np.ndarray, centre: np.ndarray,
-    eye: np.ndarray, rims: float, first: int, last: int,
+    eye: np.ndarray, first: int, last: int,
 ) -> None:  # fmt: skip
     """Write what the lamps have in common of pieces `first` to `last`, the last one as often as the block has room."""
     most_x, most_y, most_z = (
@@ -78,10 +78,8 @@ def _find(
         vx, vy, vz = eye[0] - px, eye[1] - py, eye[2] - pz
         inverse = _1 / max(math.sqrt(vx * vx + vy * vy + vz * vz), _TINY)
         vx, vy, vz = vx * inverse, vy * inverse, vz * inverse
-        rim = _1 - min(abs(ox * vx + oy * vy + oz * vz), _1)
         w[_OUTWARD + j], w[_OUTWARD + _B + j], w[_OUTWARD + 2 * _B + j] = ox, oy, oz
         w[_VIEW + j], w[_VIEW + _B + j], w[_VIEW + 2 * _B + j] = vx, vy, vz
-        w[_RIM + j] = rim * rim * rims
         w[_ALONG + j] = w[_TANGENT + j] * vx + w[_TANGENT + _B + j] * vy + w[_TANGENT + 2 * _B + j] * vz
     w[_SUMS:_PARTS] = _0
 
@@ -102,17 +100,15 @@ def shade(
         centre: Of the head, [3].
         eye: [3].
         colors: Coefficients of the surroundings for irradiance, [9, 3].
-        factors: Of all light and of highlights, how far light reaches around, share through the rim, strength of lobes,
-            and `hair_shading._HIDING`, [7].
+        factors: Of all light and of highlights, how far light reaches around, strengths of lobes, `hair_shading._HIDING`, [6].
         out: Written: `shading.Arrived.values`, [N, 8].
         first: Row of `out`.
         last: The row after the last.
     """
-    intensity, gloss, reach, rims = factors[0], factors[1], factors[2], factors[3]
-    surface, inside, hiding = factors[4], factors[5], factors[6]
+    intensity, gloss, reach, surface, inside, hiding = factors[0], factors[1], factors[2], factors[3], factors[4], factors[5]
     w, nearer = np.empty(_PARTS + len(lamps) * _B, np.float32), _1 / (_1 + reach)
     for start in range(first, last, _B):
-        _find(w, points, quats, parts, to_grid, centre, eye, rims, start, last)
+        _find(w, points, quats, parts, to_grid, centre, eye, start, last)
         for k in range(len(lamps)):
             arriving_at_block(w, lamps[k], _POINT, _LAMP, _POWER)
             red, green, blue = lamps[k, COLOR], lamps[k, COLOR + 1], lamps[k, COLOR + 2]
@@ -122,20 +118,14 @@ def shade(
                 along = w[_TANGENT + j] * lx + w[_TANGENT + _B + j] * ly + w[_TANGENT + 2 * _B + j] * lz
                 opposite = w[_VIEW + j] * lx + w[_VIEW + _B + j] * ly + w[_VIEW + 2 * _B + j] * lz
                 facing = w[_OUTWARD + j] * lx + w[_OUTWARD + _B + j] * ly + w[_OUTWARD + 2 * _B + j] * lz
-                facing = min(max((facing + reach) * nearer, _0), _1)
-                strength = w[_POWER + j] * intensity
-                across, behind = math.sqrt(max(_1 - along * along, _0)) * strength, w[_RIM + j] * max(-opposite, _0)
-                whole, open_ = across * (facing + behind) * mean, facing
+                open_ = min(max((facing + reach) * nearer, _0), _1) * w[_POWER + j] * intensity
                 part /= part + (_1 - part) * (_1 - hiding * opposite) * (_1 - hiding * opposite) + _TINY
-                facing *= part
-                amount = across * (facing + behind * part)
                 # the half vector's length is that of two unit vectors' sum
                 lean = along + w[_ALONG + j]
                 square = min(max(_1 - lean * lean / max(_2 + _2 * opposite, np.float32(1e-6)), _0), _1)
                 glint, colored = _lobes(square, surface, inside)
-                shine, more = glint * facing * strength * gloss, colored * strength
-                amount += more * facing
-                whole += more * open_ * mean
+                whole = (_1 + colored) * open_
+                amount, shine = whole * part, glint * open_ * part * gloss
                 w[_SUMS + j] += amount * red
                 w[_SUMS + _B + j] += amount * green
                 w[_SUMS + 2 * _B + j] += amount * blue
@@ -143,7 +133,7 @@ def shade(
                 w[_SUMS + 4 * _B + j] += shine * green
                 w[_SUMS + 5 * _B + j] += shine * blue
                 w[_SUMS + 6 * _B + j] += amount * mean
-                w[_SUMS + 7 * _B + j] += whole
+                w[_SUMS + 7 * _B + j] += whole * mean
         for j in range(min(_B, last - start)):
             i, basis = start + j, harmonics_of(w[_OUTWARD + j], w[_OUTWARD + _B + j], w[_OUTWARD + 2 * _B + j])
             for channel in range(3):

@@ -37,7 +37,7 @@ LAMPS = np.array([
 ], np.float32)  # fmt: skip
 BACK, FRONT = 0.24, 0.455  # matte body: seen from the side away from a lamp, and what the side towards it has more
 # lobes: shift of the cone, one over its width, share of it
-WHITE_SHIFT, WHITE_SHARP, WHITE = 0.0, 1.5, 0.066
+WHITE_SHIFT, WHITE_SHARP, WHITE = 0.0, 1.5, 0.033
 COLORED_SHIFT, COLORED_SHARP, COLORED = 0.24, 3.0, 0.55
 DARKEST = 1e-3  # openness below which light hair gains no more from scattering
 SCATTER = 0.55  # how much less light is lost inside light hair than inside black hair

@@ -32,6 +32,7 @@ lies before that (Hapke 1986, the opposition effect).
 CELL = 0.006  # metres
 REACH = 0.16  # metres that light is followed through hair
 _LOCKS = 0.55  # of the extinction of evenly spread cylinders on skin: strands lie in locks, with gaps between
+_WITHIN = 1.2  # of it in the midst of locks, fitted likewise
 GRID = 0.012  # metres between places where hair's light is known
 
 
@@ -59,7 +60,7 @@ class HairCloud(NamedTuple):
 
     def through_to_hair(self, lamp: Lamp, points: np.ndarray) -> np.ndarray:
         """As `through`, to places in the midst of locks, between which there are no gaps for them."""
-        result: np.ndarray = self.through(lamp, points) ** np.float32(1.0 / _LOCKS)
+        result: np.ndarray = self.through(lamp, points) ** np.float32(_WITHIN / _LOCKS)
         return result
 
     def through(self, lamp: Lamp, points: np.ndarray) -> np.ndarray:

@@ -43,7 +43,7 @@ def _held(function: Callable[..., Any]) -> Iterator[str]:
         value = function.__globals__.get(name)
         yield f"{name} {_shown(value)}"
         if isinstance(value, ModuleType):
-            yield from (f"{name}.{part} {_shown(getattr(value, part, None))}" for part in code.co_names)
+            yield from (f"{name}.{part} {_shown(vars(value).get(part))}" for part in code.co_names)
 
 
 def _shown(value: object) -> str:

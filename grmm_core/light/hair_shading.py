@@ -32,6 +32,7 @@ lies before that (Hapke 1986, the opposition effect).
 CELL = 0.006  # metres
 REACH = 0.16  # metres that light is followed through hair
 _LOCKS = 0.55  # of the extinction of evenly spread cylinders on skin: strands lie in locks, with gaps between
+_PRODUCTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 _WITHIN = 1.2  # of it in the midst of locks, fitted likewise
 GRID = 0.012  # metres between places where hair's light is known
 
@@ -40,23 +41,45 @@ class HairCloud(NamedTuple):
     """Hair as what it keeps off.
 
     Attributes:
-        extinction: At the middles of cells of the side `CELL`, 1/m, [X, Y, Z] float32.
+        extinction: At the middles of cells of the side `CELL`, of light from all around, 1/m, [X, Y, Z] float32.
+        along: Mean squares and products of the strands' directions there: xx, yy, zz, xy, xz, yz, [X, Y, Z, 6] float32.
         low: Corner of the grid, [3] metres.
     """
 
     extinction: np.ndarray
+    along: np.ndarray
     low: np.ndarray
 
     @staticmethod
-    def of(points: np.ndarray, areas: np.ndarray) -> HairCloud:
-        """The cloud of pieces of strands at points [P, 3] metres, that seen from the side cover areas [P] in square metres."""
+    def of(points: np.ndarray, covers: np.ndarray) -> HairCloud:
+        """The cloud of pieces of strands at points [P, 3] metres.
+
+        Args:
+            points: Their middles.
+            covers: Vectors along them, as long as they cover seen from the side, [P, 3] square metres.
+        """
         low = points.min(0) - 3 * CELL
         size = np.ceil((points.max(0) - low) / CELL).astype(int) + 3
         number = np.ravel_multi_index(tuple(((points - low) / CELL).astype(int).T), tuple(size))
-        cloud = np.bincount(number, areas, int(size.prod())).reshape(size) * (_LOCKS * np.pi / 4 / CELL**3)
-        for axis in range(3):  # its edge is empty: nothing comes in from the other side
-            cloud = 0.25 * np.roll(cloud, 1, axis) + 0.5 * cloud + 0.25 * np.roll(cloud, -1, axis)
-        return HairCloud(np.ascontiguousarray(cloud, np.float32), low)
+        areas = np.maximum(np.linalg.norm(covers, axis=1), 1e-20)
+        products = [covers[:, a] * covers[:, b] / areas for a, b in _PRODUCTS]
+
+        def cloud(values: np.ndarray) -> np.ndarray:
+            cells = np.bincount(number, values, int(size.prod())).reshape(size)
+            for axis in range(3):  # its edge is empty: nothing comes in from the other side
+                cells = 0.25 * np.roll(cells, 1, axis) + 0.5 * cells + 0.25 * np.roll(cells, -1, axis)
+            return cells
+
+        whole = cloud(areas)
+        along = np.stack([cloud(values) for values in products], -1) / np.maximum(whole, 1e-20)[..., None]
+        return HairCloud((_LOCKS * np.pi / 4 / CELL**3 * whole).astype(np.float32), along.astype(np.float32), low)
+
+    def towards(self, lamp: Lamp) -> np.ndarray:
+        """Extinction of a lamp's light, 1/m, [X, Y, Z] float32: strands that lie along it keep little off."""
+        way = arriving(lamp, (self.low + 0.5 * CELL * np.array(self.extinction.shape))[None])[0][0]
+        square = self.along @ np.array([way[a] * way[b] * (1.0 if a == b else 2.0) for a, b in _PRODUCTS], np.float32)
+        across: np.ndarray = np.sqrt(1.5 * np.clip(1.0 - square, 0.0, 1.0))  # 1 where they lie in all ways
+        return self.extinction * across
 
     def through_to_hair(self, lamp: Lamp, points: np.ndarray) -> np.ndarray:
         """As `through`, to places in the midst of locks, between which there are no gaps for them."""
@@ -71,14 +94,15 @@ class HairCloud(NamedTuple):
         from ..compute.threads import for_rows
 
         seen = np.ones(len(points), np.float32)
-        grid = self.extinction, self.low.astype(np.float32), CELL, int(REACH / CELL), lamp_rows((lamp,), self.low)
+        grid = self.towards(lamp), self.low.astype(np.float32), CELL, int(REACH / CELL), lamp_rows((lamp,), self.low)
         for_rows(kernels.march, len(seen), *grid, np.ascontiguousarray(points, np.float32), seen)
         return seen
 
     def through_plain(self, lamp: Lamp, points: np.ndarray) -> np.ndarray:
         """The readable twin of `through`."""
         towards = arriving(lamp, points)[0]
-        total, size = np.zeros(len(points)), np.array(self.extinction.shape)
+        total, extinction = np.zeros(len(points)), self.towards(lamp)
+        size = np.array(extinction.shape)
         for step in range(int(REACH / CELL)):
             at = (points - self.low) / CELL - 0.5 + (0.5 + step) * towards
             low = np.floor(at).astype(int)
@@ -86,7 +110,7 @@ class HairCloud(NamedTuple):
             low, share = low[inside], (at - low)[inside]
             for corner in np.ndindex(2, 2, 2):
                 weight = np.where(corner, share, 1.0 - share).prod(1)
-                total[inside] += weight * self.extinction[tuple((low + corner).T)]
+                total[inside] += weight * extinction[tuple((low + corner).T)]
         return np.exp(-CELL * total).astype(np.float32)
 
 

@@ -417,8 +417,8 @@ class LitAvatar:
         pieces = self._hair.pieces
 
         def make() -> tuple[np.ndarray, ...]:
-            points, areas = pieces()
-            return tuple(HairCloud.of(points, areas)) if len(points) else (np.zeros((0, 0, 0)), np.zeros(3))
+            points, covers = pieces()
+            return tuple(HairCloud.of(points, covers)) if len(points) else (np.zeros((0, 0, 0)), np.zeros(0), np.zeros(3))
 
         cloud = HairCloud(*self._evaluator.cache.get((self._target.id, "hair cloud", *self._hair_key), make))
         return cloud if cloud.extinction.size else None

@@ -13,7 +13,7 @@ class Hair(NamedTuple):
 
     Attributes:
         key: What identifies it.
-        pieces: Gives middles and areas of its pieces (`Wardrobe.covering`).
+        pieces: Gives its pieces (`Wardrobe.covering`).
         moves: They are where this frame's strands are; else on the head at rest, to be carried along by the head's turn.
     """
 

@@ -318,11 +318,11 @@ class Wardrobe:
         """Pieces of the scalp's hair in head space, each for a parent and its children.
 
         Returns:
-            Middles, [P, 3] metres, and what the strands cover as seen from the side, [P] square metres.
+            Middles, [P, 3] metres, and vectors along them as long as they cover seen from the side, [P, 3] square metres.
         """
         settings, head = worn.settings[SCALP], target.model.head_model
         vertices = to_numpy(evaluator.mesh(target, inputs).vertices)
-        middles, areas = [np.zeros((0, 3))], [np.zeros(0)]
+        middles, covers = [np.zeros((0, 3))], [np.zeros((0, 3))]
         for layer in worn.layers:
             for number, block in enumerate(self.blocks(layer, head)):
                 if block.group != SCALP:
@@ -330,10 +330,9 @@ class Wardrobe:
                 points = self._posed(evaluator, target, inputs, layer, settings, vertices, number, block)[0]
                 radii, there = block.level(1.0, settings)
                 widths = np.bincount(block.owner[: len(there)], 2.0 * radii.mean(1) * there, len(points))
-                lengths = np.linalg.norm(np.diff(points, axis=1), axis=2)
                 middles.append((0.5 * (points[:, 1:] + points[:, :-1])).reshape(-1, 3))
-                areas.append((lengths * widths[:, None]).ravel())
-        return np.concatenate(middles), np.concatenate(areas)
+                covers.append((np.diff(points, axis=1) * widths[:, None, None]).reshape(-1, 3))
+        return np.concatenate(middles), np.concatenate(covers)
 
     def _posed(
         self, evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, layer: Layer, settings: HairSettings,

@@ -76,11 +76,22 @@ def test_the_light_between_places_changes_evenly_and_places_stay_where_they_are(
 
 def test_hair_dims_what_lies_in_it_and_more_what_lies_behind_it():
     pieces = np.random.default_rng(0).uniform(-0.05, 0.05, (4000, 3)) * [1.0, 1.0, 0.3]
-    cloud = HairCloud.of(pieces, np.full(len(pieces), 2e-6))
+    cloud = HairCloud.of(pieces, np.random.default_rng(1).normal(0.0, 1.2e-6, pieces.shape))
     places = np.array([[0.0, 0.0, 0.04], [0.0, 0.0, 0.0], [0.0, 0.0, -0.04]])  # before it, within, behind
     through = cloud.through(Sun(direction=(0.0, 0.0, 1.0)), places)
     assert through[0] == 1.0
     assert 0.0 < through[2] < through[1] < 1.0
+
+
+def test_hair_keeps_less_off_of_light_that_comes_along_it():
+    pieces = np.random.default_rng(0).uniform(-0.05, 0.05, (8000, 3))
+    cloud = HairCloud.of(pieces, np.tile([0.0, -2e-6, 0.0], (len(pieces), 1)))  # it hangs
+    middle = np.zeros((1, 3))
+    along, aside, between = (
+        -np.log(cloud.through(Sun(direction=way), middle)[0]) for way in ((0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.6, 0.8))
+    )
+    assert along < 0.02 * aside
+    assert between == pytest.approx(0.8 * aside, rel=0.15)  # the sine of the angle between them
 
 
 def test_no_lamp_shines_through_hair_that_it_does_not_reach():
@@ -110,7 +121,7 @@ def test_strands_show_the_side_that_is_lit_to_who_looks_from_the_lamp():
 
 def test_locks_keep_more_light_off_themselves_than_off_skin():
     random = np.random.default_rng(5)
-    cloud = HairCloud.of(random.uniform(-0.05, 0.05, (4000, 3)), np.full(4000, 2e-6))
+    cloud = HairCloud.of(random.uniform(-0.05, 0.05, (4000, 3)), random.normal(0.0, 1.2e-6, (4000, 3)))
     sun, inside = Sun(direction=(0.0, 0.0, 1.0)), random.uniform(-0.04, 0.04, (50, 3))
     skin, hair = cloud.through(sun, inside), cloud.through_to_hair(sun, inside)
     assert (hair <= skin).all()

@@ -274,7 +274,7 @@ def test_strands_are_lit_with_the_skin(session):
 
 
 def test_in_the_studios_rig_strands_look_as_unlit_ones(session, monkeypatch):
-    monkeypatch.setattr(Wardrobe, "covering", lambda *_: (np.zeros((0, 3)), np.zeros(0)))  # neither throws shadows on skin
+    monkeypatch.setattr(Wardrobe, "covering", lambda *_: (np.zeros((0, 3)), np.zeros((0, 3))))  # neither throws shadows on skin
     monkeypatch.setattr(wardrobe, "shadow", lambda there, settings: np.ones((len(there.under), 1), np.float32))
     session.evaluator.cache.clear()
     plain, lit = (drawn(session, light, hair=HairUse("groom:bob")) for light in (None, STUDIO))
@@ -297,7 +297,7 @@ def test_light_on_strands_turns_smoothly_with_a_hard_sun(session):
 def test_strands_throw_shadows_on_the_skin(session, monkeypatch):
     above, hair = Lighting((Sun(direction=(0.5, 0.8, 0.33), strength=3.0),)), HairUse("groom:bob")
     shaded = drawn(session, above, hair=hair)["shadow"]
-    monkeypatch.setattr(Wardrobe, "covering", lambda *_: (np.zeros((0, 3)), np.zeros(0)))
+    monkeypatch.setattr(Wardrobe, "covering", lambda *_: (np.zeros((0, 3)), np.zeros((0, 3))))
     session.evaluator.cache.clear()
     lit = drawn(session, above, hair=hair)["shadow"]
     session.evaluator.cache.clear()

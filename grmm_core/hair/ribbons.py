@@ -37,7 +37,7 @@ LAMPS = np.array([
 ], np.float32)  # fmt: skip
 BACK, FRONT = 0.24, 0.455  # matte body: seen from the side away from a lamp, and what the side towards it has more
 # lobes: shift of the cone, one over its width, share of it
-WHITE_SHIFT, WHITE_SHARP, WHITE = 0.0, 1.5, 0.033
+WHITE_SHIFT, WHITE_SHARP, WHITE = 0.0, 1.5, 0.066
 COLORED_SHIFT, COLORED_SHARP, COLORED = 0.24, 3.0, 0.55
 DARKEST = 1e-3  # openness below which light hair gains no more from scattering
 SCATTER = 0.55  # how much less light is lost inside light hair than inside black hair
@@ -169,6 +169,6 @@ def shade(means: Array, axes: Array, albedo: Array, light: Array, share: Array, 
         lean = sine + sine_eye
         white = white + reaching * flat / (1.0 + ((lean - WHITE_SHIFT) * WHITE_SHARP) ** 2) ** 2
         colored = colored + reaching * flat / (1.0 + ((lean - COLORED_SHIFT) * COLORED_SHARP) ** 2) ** 2
-    body, glint = matte + max(sheen - 1.0, 0.0) * COLORED * colored, sheen * WHITE * white
+    body, glint = matte + max(sheen - 1.0, 0.0) * COLORED * colored, sheen * WHITE * white / kept  # mirrored, not passed on
     result: Array = share[..., None] * (albedo * body[..., None] + glint[..., None])
     return result

@@ -169,6 +169,6 @@ def shade(means: Array, axes: Array, albedo: Array, light: Array, share: Array, 
         lean = sine + sine_eye
         white = white + reaching * flat / (1.0 + ((lean - WHITE_SHIFT) * WHITE_SHARP) ** 2) ** 2
         colored = colored + reaching * flat / (1.0 + ((lean - COLORED_SHIFT) * COLORED_SHARP) ** 2) ** 2
-    body, glint = matte + max(sheen - 1.0, 0.0) * COLORED * colored, sheen * WHITE * white / kept  # mirrored, not passed on
+    body, glint = matte + max(sheen - 1.0, 0.0) * COLORED * colored, sheen * WHITE * white
     result: Array = share[..., None] * (albedo * body[..., None] + glint[..., None])
     return result

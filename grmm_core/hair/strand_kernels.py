@@ -297,7 +297,7 @@ def shade_into(
                     b = _ONE / (_ONE + b * b)
                     colored += reaching * flat * b * b
             matte += glint * F(COLORED) * colored
-            matte, white = share[i, k] * matte, share[i, k] * white * F(sheen) * F(WHITE) / kept
+            matte, white = share[i, k] * matte, share[i, k] * white * F(sheen) * F(WHITE)
             colors[row, 0], colors[row, 1] = _display(red * matte + white), _display(green * matte + white)
             colors[row, 2] = _display(blue * matte + white)
 

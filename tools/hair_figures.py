@@ -137,7 +137,7 @@ def main() -> int:
     finally:
         haired.close()
     for light, measured in rows.items():
-        print(f"| mean {light} | {len(people)} people | {line(np.nanmean(measured, 0))} |")
+        print(f"| {f'mean {light}'.strip()} | {len(people)} people | {line(np.nanmean(measured, 0))} |")
     if len(rows) > 1:
         print(f"| mean | {len(people)} people | {line(np.nanmean([row for some in rows.values() for row in some], 0))} |")
     return 0

@@ -271,7 +271,8 @@ class Wardrobe:
                 points = points[:, some]
             if block.group == LASHES:  # also of curves: small triangles would twist them
                 points = self._on_lids(head, layer, settings, vertices, block, points)
-            made = strand_gaussians(block, points, axes, settings, share, eye, hiding, direction, fewer, False, crowded, share)
+            how = settings, share, eye, hiding, direction, fewer
+            made = strand_gaussians(block, points, axes, *how, crowded=crowded, evened=share)
             raised = raised_by(block, lod)
             if raised and eye is not None:
                 made = nearer(made, eye, raised)

@@ -1,10 +1,10 @@
 """How every numba kernel of the core is compiled and cached; importing this module loads numba.
 
 A compiled form is cached next to its source, or in the user's cache folder where that is read-only (NUMBA_CACHE_DIR decides
-when set). Its file's name says two things that numba does not ask for. One is the module that it came from: the installed
-Blender extension is imported as `bl_ext...grmm_core` by Blender and as `grmm_core` by the worker process, from one folder. The
-other is what it holds of other files, constants and kernels: numba compares its own source alone, and went on with old
-constants after an update.
+when set). Its file's name tells apart two things that numba does not ask for: the module that it came from, since the installed
+Blender extension is imported as `bl_ext...grmm_core` by Blender and as `grmm_core` by the worker process, from one folder; and
+what it holds of other files, constants and kernels, since numba compares its own source alone, and went on with old constants
+after an update. Both are a short sum in the name: Windows has paths of 260 characters.
 """
 
 from __future__ import annotations
@@ -23,9 +23,8 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Return a decorator that compiles a function on its first call with numba's `options` and caches the result."""
 
     def decorate(function: Callable[..., Any]) -> Any:
-        held = hashlib.sha256("\n".join(_held(function)).encode()).hexdigest()[:12]
-        # numba names the cache files after this
-        function.__qualname__ = f"{function.__module__}.{function.__qualname__}.{held}"
+        held = hashlib.sha256("\n".join((function.__module__, *_held(function))).encode()).hexdigest()[:12]
+        function.__qualname__ += f".{held}"  # numba names the cache files after this
         try:
             return numba.njit(cache=True, **options)(function)
         except RuntimeError:  # no folder is writable: compile in every process

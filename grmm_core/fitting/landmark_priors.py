@@ -47,11 +47,14 @@ _GROUP_SIGMA = (
 _SKIN_SIGMA = 0.03
 _FACING_FULL, _FACING_NONE, _HIDDEN_FACTOR = 0.35, -0.25, 4.0
 
-NOISE_ASSET = Path(__file__).resolve().parent.parent / "assets" / "landmark_noise.safetensors"
+_ASSETS = Path(__file__).resolve().parent.parent / "assets"
+NOISE_ASSET, PLACED_ASSET = _ASSETS / "landmark_noise.safetensors", _ASSETS / "head_landmarks.safetensors"
 # of the modes' standard deviation: the network errs less on photos, which it was trained on, than on synthetic pictures
 NOISE_SHARE = 0.5
 # of that where the shape is known: what a photo's own unknowns take over wrongly is seen in that photo only
 VIEW_NOISE = 0.2
+# likewise of the landmarks of `photo.head_landmarks`, and how much of a point's expected error is not in their modes
+PLACED_NOISE, PLACED_SHARE = 0.2, 0.7
 
 # How far the reported coefficients are believed: mean of the prior = factor * reported.
 _START_FACTORS = {
@@ -210,30 +213,33 @@ def landmark_sigmas(rig: LandmarkRig, rotation: np.ndarray) -> np.ndarray:
     return sigma * (1.0 + (_HIDDEN_FACTOR - 1.0) * hidden)
 
 
-def landmark_modes(rotation: np.ndarray) -> np.ndarray:
+def landmark_modes(rotation: np.ndarray, placed: bool = False) -> np.ndarray:
     """How the landmark network errs: directions in which all landmarks move together, one standard deviation each.
 
     Args:
         rotation: Head to camera, [3, 3]; the modes roll with the head.
+        placed: Of landmarks that `photo.head_landmarks` found.
 
     Returns:
         Eye distances, [478, 2, K].
     """
     roll = np.arctan2(rotation[1, 0], rotation[0, 0])
     c, s = np.cos(roll), np.sin(roll)
-    return np.einsum("ij,klj->lik", np.array([[c, -s], [s, c]]), _stored_modes()) * NOISE_SHARE
+    share = PLACED_NOISE if placed else NOISE_SHARE
+    return np.einsum("ij,klj->lik", np.array([[c, -s], [s, c]]), _stored_modes(placed)) * share
 
 
-@functools.lru_cache(maxsize=1)
-def _stored_modes() -> np.ndarray:
-    """Modes of the asset, [K, 478, 2], read once, without what opens and closes the lips in them.
+@functools.lru_cache(maxsize=2)
+def _stored_modes(placed: bool) -> np.ndarray:
+    """Modes of an asset, [K, 478, 2], read once, without what opens and closes the lips in them.
 
     On synthetic pictures the network errs in how far lips are open. On photos it finds the lips' borders within a pixel or two;
     taken as an error, a smile that shows teeth was tracked with lips nearly shut, and the teeth were painted on the lower lip.
     """
-    modes = read_tensors(NOISE_ASSET)[0].get("modes")
+    asset = PLACED_ASSET if placed else NOISE_ASSET
+    modes = read_tensors(asset)[0].get("modes")
     if modes is None or modes.ndim != 3 or modes.shape[1:] != (LANDMARK_COUNT, 2):
-        raise FileFormatError(f"{NOISE_ASSET} is damaged; install the program again.")
+        raise FileFormatError(f"{asset} is damaged; install the program again.")
     modes = modes.astype(np.float64)
     pairs = np.array([*_INNER_LIP_PAIRS, *_OUTER_LIP_PAIRS])
     modes[:, pairs] = modes[:, pairs].mean(2, keepdims=True)

@@ -14,7 +14,8 @@ import numpy as np
 from ..errors import ShapeError
 from ..geometry.camera import Camera
 from ..head.head_model import JOINT_COUNT
-from .landmark_priors import VIEW_NOISE, View, landmark_modes, landmark_sigmas, make_priors
+from ..photo.landmarks import HeadLandmarks
+from .landmark_priors import PLACED_SHARE, VIEW_NOISE, View, landmark_modes, landmark_sigmas, make_priors
 from .point_rig import LandmarkRig
 from .solver import PhotoProblem, Problem, Solution, Term, camera_of, project, solve
 from .types import LANDMARK_COUNT, PhotoTrack
@@ -30,10 +31,11 @@ class Observation:
     """What was found in one photo.
 
     Attributes:
-        landmarks: x, y in pixels of the photo and relative depth in the same unit (smaller is nearer), [478, 3].
+        landmarks: MediaPipe's: x, y in pixels of the photo and relative depth in the same unit (smaller is nearer), [478, 3].
         arkit: Reported coefficients of the 52 ARKit shapes, [52].
         width, height: Size of the photo in pixels.
         focal: Focal length in pixels that the file states, or None.
+        placed: The head model's as `photo.head_landmarks` found them, by which the shape is looked for; None: by MediaPipe's.
     """
 
     landmarks: np.ndarray
@@ -41,6 +43,7 @@ class Observation:
     width: int
     height: int
     focal: float | None = None
+    placed: HeadLandmarks | None = None
 
 
 @dataclass(frozen=True)
@@ -96,7 +99,7 @@ def fit_landmarks(
     problem, start, units = _start(observations, rig)
     # cameras alone first: far from the solution the shape would bend to a wrong rotation
     start = solve(problem, start, CAMERA_ITERATIONS, cameras_only=True)
-    problem = _weighed(problem, start, units, rig)
+    problem = _weighed(problem, start, units, rig, [item.placed for item in observations])
     solution = solve(problem, start, ITERATIONS, progress=progress)
     logger.debug("landmarks: %d steps, objective %.1f", solution.iterations, solution.objective)
     return finished(problem, with_shape(problem, solution, ITERATIONS), units, rig)
@@ -129,18 +132,27 @@ def restarted(tracks: Sequence[PhotoTrack], rig: LandmarkRig) -> LandmarkFit:
         units.append(_eye_distance(rest) / np.exp(magnification))
         prior = make_priors(rig.head, track.arkit, camera.fx, camera.width, camera.height)
         term = Term(rig, track.landmarks / scale + origin, np.ones(LANDMARK_COUNT))
-        photos.append(PhotoProblem(camera.width, camera.height, prior, (term,)))
+        photos.append(PhotoProblem(camera.width, camera.height, prior, (term,), term))
     problem = Problem(tuple(photos), center, rig.shape_count, rig.expression_count, len(views[0].noise))
     solution = Solution(tracks[0].shape.astype(np.float64), tuple(views))
-    return finished(_weighed(problem, solution, tuple(units), rig), solution, tuple(units), rig)
+    placed = [track.placed_in_photo for track in tracks]
+    return finished(_weighed(problem, solution, tuple(units), rig, placed), solution, tuple(units), rig)
 
 
-def _weighed(problem: Problem, start: Solution, units: tuple[float, ...], rig: LandmarkRig) -> Problem:
-    """The problem with the landmarks' expected errors and modes for how the heads are turned."""
+def _weighed(
+    problem: Problem, start: Solution, units: tuple[float, ...], rig: LandmarkRig, placed: Sequence[HeadLandmarks | None]
+) -> Problem:
+    """The problem with the landmarks' expected errors and modes for how the heads are turned; `placed` as in `Observation`."""
     photos = []
-    for photo, view, unit in zip(problem.photos, start.views, units, strict=True):
+    for photo, view, unit, own in zip(problem.photos, start.views, units, placed, strict=True):
         sigma, modes = landmark_sigmas(rig, view.rotation) * unit, landmark_modes(view.rotation) * unit
-        photos.append(replace(photo, terms=(replace(photo.terms[0], sigma=sigma, modes=modes),)))
+        assert photo.seen is not None
+        seen = replace(photo.seen, sigma=sigma, modes=modes)
+        term = seen
+        if own is not None:
+            modes = landmark_modes(view.rotation, placed=True) * unit
+            term = replace(seen, target=own.points, sigma=PLACED_SHARE * own.sigma, modes=modes)
+        photos.append(replace(photo, terms=(term,), seen=seen))
     # the network errs on a face in much the same way in all its photos: together they tell of the shape what one tells
     return replace(problem, photos=tuple(photos), shape_weight=float(len(photos)))
 
@@ -148,22 +160,24 @@ def _weighed(problem: Problem, start: Solution, units: tuple[float, ...], rig: L
 def with_shape(problem: Problem, start: Solution, limit: int) -> Solution:
     """Camera, expression and pose of each photo for the shape that was found.
 
-    Landmarks are believed more than where the shape is looked for: an error of the network that bends the shape is seen in
+    MediaPipe's landmarks are believed, and more than where the shape is looked for: an error that bends the shape is seen in
     every view and expression, one that moves a brow in its photo only, where nearness is what counts.
 
     Args:
-        problem: What the shape was found by; the first term of each photo is its landmarks.
+        problem: What the shape was found by.
         start: Its solution.
         limit: Largest number of steps.
     """
     photos, views = [], []
     for photo, view in zip(problem.photos, start.views, strict=True):
-        landmarks, *others = photo.terms
-        assert landmarks.modes is not None
-        photos.append(replace(photo, terms=(replace(landmarks, modes=landmarks.modes * VIEW_NOISE), *others)))
-        views.append(replace(view, noise=view.noise / VIEW_NOISE))
+        assert photo.seen is not None
+        assert photo.seen.modes is not None
+        seen = replace(photo.seen, modes=photo.seen.modes * VIEW_NOISE)
+        photos.append(replace(photo, terms=(seen, *photo.terms[1:])))
+        views.append(replace(view, noise=np.zeros_like(view.noise)))
     solution = solve(replace(problem, photos=tuple(photos)), replace(start, views=tuple(views)), limit, shape_held=True)
-    return replace(solution, views=tuple(replace(view, noise=view.noise * VIEW_NOISE) for view in solution.views))
+    kept = zip(solution.views, start.views, strict=True)
+    return replace(solution, views=tuple(replace(view, noise=before.noise) for view, before in kept))
 
 
 def _eye_distance(landmarks: np.ndarray) -> float:
@@ -196,7 +210,7 @@ def _start(observations: Sequence[Observation], rig: LandmarkRig) -> tuple[Probl
         views.append(View(rotation, offset, magnification, focal, prior.expression_mean.copy(), prior.pose_mean.copy(), noise))
         units.append(_eye_distance(mean) / np.exp(magnification))
         term = Term(rig, item.landmarks[:, :2].astype(np.float64), landmark_sigmas(rig, rotation) * units[-1])
-        photos.append(PhotoProblem(item.width, item.height, prior, (term,)))
+        photos.append(PhotoProblem(item.width, item.height, prior, (term,), term))
     problem = Problem(tuple(photos), center, rig.shape_count, rig.expression_count, len(views[0].noise))
     return problem, Solution(shape, tuple(views)), tuple(units)
 

@@ -60,13 +60,16 @@ class PhotoProblem:
     Attributes:
         width, height: Pixels.
         priors: Of its unknowns.
-        terms: What its unknowns are to explain.
+        terms: What its unknowns are to explain, landmarks first.
+        seen: Landmarks that camera, pose and expression are to explain in place of the first term once the shape is known;
+            None: in place of nothing.
     """
 
     width: int
     height: int
     priors: Priors
     terms: tuple[Term, ...]
+    seen: Term | None = None
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,9 @@ from ..errors import CancelledError, ConfigError, NoFaceError, ShapeError
 from ..geometry.camera import Camera
 from ..head.head_model import JOINT_COUNT, HeadModel
 from ..head.open_head import load_open_head
-from ..photo.faces import Face, find_faces
+from ..photo.faces import Face, find_faces, to_pixels
+from ..photo.head_landmarks import head_landmarks
+from ..photo.landmarks import HeadLandmarks
 from ..photo.load import Photo, PhotoFile, check_proportion
 from ..photo.person import person_mask
 from ..photo.sharpness import BLURRED, sharpness
@@ -177,7 +179,8 @@ def track_photos(
         report(_ANALYSE_SHARE * index / len(photos))
         analysed.append(item if isinstance(item, AnalysedPhoto) else analyse_photo(item))
     chosen = [_chosen_face(item, faces[i] if faces is not None and i < len(faces) else 0) for i, item in enumerate(analysed)]
-    observations = [_observation(item, face) for item, face in zip(analysed, chosen, strict=True)]
+    placed = [head_landmarks(to_pixels(item.photo.pixels), face) for item, face in zip(analysed, chosen, strict=True)]
+    observations = [_observation(*one) for one in zip(analysed, chosen, placed, strict=True)]
     fit = fit_landmarks(observations, rig, progress=lambda f: report(_ANALYSE_SHARE + _LANDMARK_SHARE * f))
     pictures = []
     for index, item in enumerate(analysed):
@@ -187,8 +190,8 @@ def track_photos(
     _check_outlined(analysed, pictures, fit, given=masks is not None)
     refined = refine(fit, pictures, rig, progress=lambda f: report(1.0 - _REFINE_SHARE * (1.0 - f)))
     tracks = [
-        _track(item, face, refined, index, picture, rig)
-        for index, (item, face, picture) in enumerate(zip(analysed, chosen, pictures, strict=True))
+        _track(item, face, points, refined, index, picture)
+        for index, (item, face, points, picture) in enumerate(zip(analysed, chosen, placed, pictures, strict=True))
     ]
     report(1.0)
     return tracks
@@ -243,9 +246,9 @@ def _chosen_face(item: AnalysedPhoto, index: int) -> Face:
     return item.faces[index]
 
 
-def _observation(item: AnalysedPhoto, face: Face) -> Observation:
+def _observation(item: AnalysedPhoto, face: Face, placed: HeadLandmarks) -> Observation:
     height, width = item.photo.pixels.shape[:2]
-    return Observation(face.landmarks.astype(np.float64), face.arkit, width, height, item.focal)
+    return Observation(face.landmarks.astype(np.float64), face.arkit, width, height, item.focal, placed)
 
 
 def _working_picture(photo: Photo, camera: Camera, size: int, mask: np.ndarray | None) -> Appearance:
@@ -263,7 +266,9 @@ def _working_picture(photo: Photo, camera: Camera, size: int, mask: np.ndarray |
     return Appearance(image, np.clip(outline * valid, 0.0, 1.0), valid, left, top, size / side)
 
 
-def _track(item: AnalysedPhoto, face: Face, fit: LandmarkFit, index: int, picture: Appearance, rig: LandmarkRig) -> PhotoTrack:
+def _track(
+    item: AnalysedPhoto, face: Face, placed: HeadLandmarks, fit: LandmarkFit, index: int, picture: Appearance
+) -> PhotoTrack:
     """Move everything that was found into the working picture."""
     photo, view = item.photo, fit.views[index]
     height, width = photo.pixels.shape[:2]
@@ -283,6 +288,8 @@ def _track(item: AnalysedPhoto, face: Face, fit: LandmarkFit, index: int, pictur
         landmarks=(face.landmarks[:, :2] - origin) * picture.scale,
         landmarks_fitted=(fit.landmarks[index] - origin) * picture.scale,
         arkit=face.arkit,
+        placed=(placed.points - origin) * picture.scale,
+        placed_sigma=placed.sigma * picture.scale,
         presence=face.presence,
     )
 

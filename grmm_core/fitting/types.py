@@ -14,13 +14,13 @@ import numpy as np
 from ..errors import FileFormatError, ShapeError
 from ..files.tensorfile import read_tensors, write_tensors
 from ..geometry.camera import Camera
+from ..photo.landmarks import LANDMARK_COUNT, HeadLandmarks
 
 FORMAT = "grmm-tracks"
 VERSION = 1
-LANDMARK_COUNT = 478
 LABEL_COUNT = 14
 _CAMERAS = ("camera", "photo_camera")
-_OPTIONAL = ("labels", "identity")  # arrays that a track may lack
+_OPTIONAL = ("placed", "placed_sigma", "labels", "identity")  # arrays that a track may lack
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +42,8 @@ class PhotoTrack:
         pose: XYZ Euler angles in radians of root, neck, jaw and eyes, on top of what `expression` turns, [5, 3].
         landmarks: MediaPipe's 478 landmarks as found, pixels of the working picture, [478, 2].
         landmarks_fitted: The head model's, likewise.
+        placed, placed_sigma: The head model's as `photo.head_landmarks` found them, likewise, and their expected errors, [478];
+            None where MediaPipe's stand for them.
         arkit: The 52 ARKit coefficients as the network reported them (a start value, no measurement), [52].
         labels: What each pixel shows where that is known (of a capture), as `photo.parser.PhotoParts` orders it, 0..1,
             [14, H, W]; None asks the parser.
@@ -61,6 +63,8 @@ class PhotoTrack:
     landmarks: np.ndarray
     landmarks_fitted: np.ndarray
     arkit: np.ndarray
+    placed: np.ndarray | None = None
+    placed_sigma: np.ndarray | None = None
     labels: np.ndarray | None = None
     identity: np.ndarray | None = None
     presence: float = 1.0
@@ -69,7 +73,8 @@ class PhotoTrack:
         height, width = self.camera.height, self.camera.width
         wanted: dict[str, tuple[int, ...]] = {
             "image": (height, width, 3), "mask": (height, width), "valid": (height, width), "pose": (5, 3), "arkit": (52,),
-            "landmarks": (LANDMARK_COUNT, 2), "landmarks_fitted": (LANDMARK_COUNT, 2),
+            "landmarks": (LANDMARK_COUNT, 2), "landmarks_fitted": (LANDMARK_COUNT, 2), "placed": (LANDMARK_COUNT, 2),
+            "placed_sigma": (LANDMARK_COUNT,),
         }  # fmt: skip
         if self.labels is not None:
             wanted["labels"] = (LABEL_COUNT, height, width)
@@ -89,6 +94,15 @@ class PhotoTrack:
     def eye_distance(self) -> float:
         """Distance of the outer eye corners as found, pixels of the working picture."""
         return float(np.linalg.norm(self.landmarks[263] - self.landmarks[33]))
+
+    @property
+    def placed_in_photo(self) -> HeadLandmarks | None:
+        """The head model's landmarks in pixels of the photo, where a network found them."""
+        if self.placed is None or self.placed_sigma is None:
+            return None
+        scale = self.camera.fx / self.photo_camera.fx
+        middle, own = ([camera.cx, camera.cy] for camera in (self.photo_camera, self.camera))
+        return HeadLandmarks((self.placed - own) / scale + middle, self.placed_sigma / scale)
 
     @property
     def landmark_error(self) -> float:
@@ -141,6 +155,8 @@ def load_tracks(path: str | os.PathLike[str]) -> list[PhotoTrack]:
                 photo_camera=_camera(tensors, f"{index}.photo_camera"),
                 **{name: tensors[f"{index}.{name}"] for name in arrays if name not in _OPTIONAL},
                 labels=tensors.get(f"{index}.labels"),
+                placed=tensors.get(f"{index}.placed"),
+                placed_sigma=tensors.get(f"{index}.placed_sigma"),
                 identity=tensors.get(f"{index}.identity"),
             )
             for index in range(int(metadata["count"]))

@@ -22,9 +22,9 @@ from torch.nn import functional
 
 from ..controls.names import ARKIT_NAMES
 from ..errors import NoFaceError
+from .landmarks import LANDMARK_COUNT
 from .networks import load_networks
 
-LANDMARK_COUNT = 478
 DETECTOR_SIZE = 128
 LANDMARK_SIZE = 256
 MIN_DETECTION_SCORE = 0.5
@@ -92,6 +92,39 @@ class Face:
         return float(np.linalg.norm(left - right))
 
 
+@dataclass(frozen=True)
+class Region:
+    """The square of a picture that a landmark network sees.
+
+    Attributes:
+        center: Pixels, [2].
+        side: Pixels.
+        angle: How far it is turned with the head, radians.
+    """
+
+    center: np.ndarray
+    side: float
+    angle: float
+
+    @staticmethod
+    def around(points: np.ndarray) -> Region:
+        """Of a face whose landmarks are known, [478, 2 or 3] pixels."""
+        center, size, angle = _extent(points)
+        return Region(center, max(float(max(size)) * REGION_SCALE, MIN_REGION), angle)
+
+    def cut(self, pixels: Tensor) -> Tensor:
+        """What it shows of a picture [1, 3, H, W], [1, 3, `LANDMARK_SIZE`, `LANDMARK_SIZE`]."""
+        return _sample(pixels, self.center, self.side, self.angle, LANDMARK_SIZE)
+
+    def placed(self, points: np.ndarray) -> np.ndarray:
+        """Points of the cut in the picture, [N, 2]."""
+        return _rotate(points * (self.side / LANDMARK_SIZE) - self.side / 2.0, self.angle) + self.center
+
+    def within(self, points: np.ndarray) -> np.ndarray:
+        """Points of the picture in the cut, [N, 2]."""
+        return (_rotate(points - self.center, -self.angle) + self.side / 2.0) * (LANDMARK_SIZE / self.side)
+
+
 def find_faces(image: np.ndarray, levels: int | None = None) -> list[Face]:
     """Return the faces of a photo, the largest first.
 
@@ -128,9 +161,9 @@ def locate_landmarks(pixels: Tensor, detection: Detection) -> Face:
     angle = math.atan2(left_eye[1] - right_eye[1], left_eye[0] - right_eye[0])
     center = (detection.box[:2] + detection.box[2:]) / 2.0
     side = float(max(detection.box[2:] - detection.box[:2])) * REGION_SCALE
-    points, presence = _landmarks_in_region(pixels, center, side, angle)
-    if presence >= MIN_PRESENCE and float(max(_region(points)[1])) > MIN_REGION / REGION_SCALE:
-        points, presence = _landmarks_again(pixels, points)
+    points, presence = _landmarks_in(pixels, Region(center, max(side, MIN_REGION), angle))
+    if presence >= MIN_PRESENCE and float(max(_extent(points)[1])) > MIN_REGION / REGION_SCALE:
+        points, presence = _landmarks_in(pixels, Region.around(points))
     return _face(pixels, points, presence, detection.score)
 
 
@@ -141,17 +174,11 @@ def follow_face(pixels: Tensor, face: Face) -> Face:
         pixels: [1, 3, H, W] float 0..1.
         face: As it was found before.
     """
-    points, presence = _landmarks_again(pixels, face.landmarks)
+    points, presence = _landmarks_in(pixels, Region.around(face.landmarks))
     return _face(pixels, points, presence, face.score)
 
 
-def _landmarks_again(pixels: Tensor, points: np.ndarray) -> tuple[np.ndarray, float]:
-    """Landmarks in the region that known ones give."""
-    center, size, angle = _region(points)
-    return _landmarks_in_region(pixels, center, float(max(size)) * REGION_SCALE, angle)
-
-
-def _region(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+def _extent(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """Centre [2] and size [2] of the upright box around landmarks, and how far it is turned."""
     right, left = points[_EYE_CORNERS[0], :2], points[_EYE_CORNERS[1], :2]
     angle = math.atan2(left[1] - right[1], left[0] - right[0])
@@ -240,14 +267,10 @@ def _overlap(a: np.ndarray, b: np.ndarray) -> float:
     return shared / union if union > 0.0 else 0.0
 
 
-def _landmarks_in_region(pixels: Tensor, center: np.ndarray, side: float, angle: float) -> tuple[np.ndarray, float]:
-    side = max(side, MIN_REGION)
-    crop = _sample(pixels, center, side, angle, LANDMARK_SIZE)
-    raw, presence, _ = load_networks()["face_landmarks_detector"](crop.permute(0, 2, 3, 1))
+def _landmarks_in(pixels: Tensor, region: Region) -> tuple[np.ndarray, float]:
+    raw, presence, _ = load_networks()["face_landmarks_detector"](region.cut(pixels).permute(0, 2, 3, 1))
     points = raw.reshape(LANDMARK_COUNT, 3).numpy().astype(np.float64)
-    scale = side / LANDMARK_SIZE
-    local = points[:, :2] * scale - side / 2.0
-    result = np.concatenate([_rotate(local, angle) + center, points[:, 2:] * scale], axis=1)
+    result = np.concatenate([region.placed(points[:, :2]), points[:, 2:] * (region.side / LANDMARK_SIZE)], axis=1)
     return result.astype(np.float32), float(torch.sigmoid(presence.reshape(())))
 
 

@@ -10,11 +10,12 @@ Called by `photo.faces` and `photo.person`. Inference only.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -31,22 +32,34 @@ class ProgramNetwork:
 
     Attributes:
         input_shape: Shape of its input, channels last, batch first.
+        operators: Its steps in their order, as the asset has them: "op", numbers of tensors "in" and "out", and options.
+        weights: Its constants by the tensors' numbers.
+        outputs: Numbers of the tensors that it returns.
     """
 
     def __init__(self, program: dict[str, Any], weights: dict[int, Tensor]) -> None:
         self.input_shape: tuple[int, ...] = tuple(program["shapes"][0])
+        self.operators: list[dict[str, Any]] = program["operators"]
+        self.weights = weights
         self._input: int = program["inputs"][0]
-        self._outputs: list[int] = program["outputs"]
-        self._weights = weights
-        self._steps = [(_OPERATORS[step["op"]], step) for step in program["operators"]]
+        self.outputs: list[int] = program["outputs"]
 
     @torch.no_grad()
     def __call__(self, value: Tensor) -> list[Tensor]:
         """Run the network on `value`, shape `input_shape` float32; returns its outputs in the source's order."""
-        tensors: dict[int, Tensor] = {**self._weights, self._input: value}
-        for function, step in self._steps:
-            tensors[step["out"]] = function(step, *(tensors[i] if i >= 0 else None for i in step["in"]))
-        return [tensors[i] for i in self._outputs]
+        return self._run(value, self.weights, self.outputs)
+
+    def first_output(self, value: Tensor, weights: Mapping[int, Tensor]) -> Tensor:
+        """Its first output for any number of inputs at once, by other weights, through which gradients go back."""
+        return self._run(value, {**self.weights, **weights}, self.outputs[:1])[0]
+
+    def _run(self, value: Tensor, weights: Mapping[int, Tensor], outputs: list[int]) -> list[Tensor]:
+        tensors: dict[int, Tensor] = {**weights, self._input: value}
+        for step in self.operators:
+            tensors[step["out"]] = _OPERATORS[step["op"]](step, *(tensors[i] if i >= 0 else None for i in step["in"]))
+            if all(output in tensors for output in outputs):
+                break
+        return [tensors[i] for i in outputs]
 
 
 @lru_cache(maxsize=1)
@@ -56,18 +69,38 @@ def load_networks() -> dict[str, ProgramNetwork]:
     Raises:
         FileAccessError, FileFormatError: The asset is missing or damaged.
     """
+    tensors, metadata = _asset()
+    return {name: ProgramNetwork(json.loads(metadata[name]), _weights(tensors, name)) for name in NetworkName.__args__}  # type: ignore[attr-defined]
+
+
+def load_program(name: NetworkName, weights: dict[int, Tensor]) -> ProgramNetwork:
+    """A network of the asset with other weights.
+
+    Args:
+        name: Which.
+        weights: By the tensors' numbers; those that are not given are the asset's (sizes and the like).
+
+    Raises:
+        FileAccessError, FileFormatError: The asset is missing or damaged.
+    """
+    tensors, metadata = _asset()
+    return ProgramNetwork(json.loads(metadata[name]), {**_weights(tensors, name), **weights})
+
+
+def _asset() -> tuple[dict[str, np.ndarray], dict[str, str]]:
     tensors, metadata = read_tensors(ASSET)
     if metadata.get("format") != "grmm-photo-networks" or metadata.get("version") != "1":
         raise FileFormatError(f"{ASSET} does not hold this version's photo networks; install the project again.")
-    networks = {}
-    for name in NetworkName.__args__:  # type: ignore[attr-defined]
-        weights = {
-            int(key.rpartition("/")[2]): torch.from_numpy(array).float() if array.dtype.kind == "f" else torch.from_numpy(array)
-            for key, array in tensors.items()
-            if key.startswith(f"{name}/")
-        }
-        networks[name] = ProgramNetwork(json.loads(metadata[name]), weights)
-    return networks
+    return tensors, metadata
+
+
+def _weights(tensors: dict[str, np.ndarray], name: str) -> dict[int, Tensor]:
+    """Of one network, by the tensors' numbers."""
+    return {
+        int(key.rpartition("/")[2]): torch.from_numpy(array).float() if array.dtype.kind == "f" else torch.from_numpy(array)
+        for key, array in tensors.items()
+        if key.startswith(f"{name}/")
+    }
 
 
 def _activate(step: dict[str, Any], value: Tensor) -> Tensor:

@@ -81,7 +81,7 @@ class Maker:
         if g.random() < 0.35:
             shade_throat(drawn, g)
         blocks = self._grooms[int(g.integers(len(self._grooms)))]
-        settings = _settings(g)
+        settings = drawn_settings(g)
         beard = _beard_settings(settings, g)
         hair = _hair_color(settings)
         bald = g.random() < 0.07
@@ -273,7 +273,8 @@ def _passer_by(posed: Posed, ground: np.ndarray, g: Generator) -> np.ndarray:
     return ground * (1 - small[..., 3:]) + small[..., :3] * np.exp(g.normal(0, 0.5))
 
 
-def _settings(g: Generator) -> HairSettings:
+def drawn_settings(g: Generator) -> HairSettings:
+    """Of scalp hair by chance."""
     dyed = g.random() < 0.06
     return HairSettings(
         length=float(g.choice([g.uniform(0.15, 0.45), np.clip(np.exp(g.normal(0.0, 0.35)), 0.2, 1.6)], p=[0.35, 0.65])),

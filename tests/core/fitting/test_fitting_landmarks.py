@@ -14,6 +14,7 @@ from grmm_core.fitting import landmark_priors, landmark_stage
 from grmm_core.fitting.landmark_priors import FACE_OVAL, landmark_modes
 from grmm_core.fitting.landmark_stage import Observation, fit_landmarks
 from grmm_core.geometry.camera import Camera
+from grmm_core.photo.landmarks import HeadLandmarks
 
 SIZE = 512
 
@@ -129,6 +130,30 @@ def test_a_photo_is_nearer_its_landmarks_than_they_are_believed_for_the_shape(ri
     assert reprojection(near, seen) < 0.97 * reprojection(alike, seen)
 
 
+def test_the_heads_landmarks_tell_the_shape_and_mediapipes_where_the_face_is(head, rig):
+    shape, camera = person(4), Camera.orbit(SIZE, SIZE, yaw=12.0, distance=1.2)
+    found = observe(rig, person(9), np.zeros(100), camera)  # somebody else's, beside the face
+    found.landmarks[:, :2] += [9.0, -4.0]
+    points = observe(rig, shape, np.zeros(100), camera, noise=0.5).landmarks[:, :2]
+    told = replace(found, placed=HeadLandmarks(points, np.full(478, 0.01 * eye_distance(found))))
+    alone, both = fit_landmarks([found], rig), fit_landmarks([told], rig)
+    assert shape_error(head, both.shape, shape) < 0.5 * shape_error(head, alone.shape, shape)
+    np.testing.assert_allclose(both.landmarks[0].mean(0), found.landmarks[:, :2].mean(0), atol=1.0)
+
+
+def test_the_surer_of_the_heads_landmarks_count_more(head, rig):
+    shape, camera, sure = person(5), Camera.orbit(SIZE, SIZE, yaw=-8.0, distance=1.2), np.arange(478) % 2 == 0
+    found = observe(rig, shape, np.zeros(100), camera)
+    other = observe(rig, person(11), np.zeros(100), camera).landmarks
+    points = np.where(sure[:, None], found.landmarks, other)[:, :2]
+    low, high = 0.01 * eye_distance(found), 0.1 * eye_distance(found)
+    errors = [
+        shape_error(head, fit_landmarks([replace(found, placed=HeadLandmarks(points, sigma))], rig).shape, shape)
+        for sigma in (np.where(sure, low, high), np.where(sure, high, low))
+    ]
+    assert errors[0] < 0.5 * errors[1]
+
+
 def test_wrong_landmarks_do_little_harm(head, rig):
     shape, camera = person(7), Camera.orbit(SIZE, SIZE, yaw=-10.0, distance=1.2)
     clean = observe(rig, shape, np.zeros(100), camera)
@@ -150,7 +175,7 @@ def test_systematic_errors_of_the_network_are_not_taken_for_shape(head, rig, mon
         observation = replace(clean, landmarks=spoilt)
         errors["known"].append(shape_error(head, fit_landmarks([observation], rig).shape, shape))
         with monkeypatch.context() as patch:
-            patch.setattr(landmark_priors, "_stored_modes", lambda: np.zeros((16, 478, 2)))
+            patch.setattr(landmark_priors, "_stored_modes", lambda placed: np.zeros((16, 478, 2)))
             errors["ignored"].append(shape_error(head, fit_landmarks([observation], rig).shape, shape))
     assert np.mean(errors["known"]) < 0.9 * np.mean(errors["ignored"])
 

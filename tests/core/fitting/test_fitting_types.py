@@ -26,7 +26,8 @@ def make_track(seed=0, size=24):
 
 
 def test_tracks_come_back_exactly(tmp_path):
-    tracks = [make_track(0), replace(make_track(1), identity=np.arange(8.0))]
+    placed = {"placed": np.full((478, 2), 3.0), "placed_sigma": np.full(478, 0.5)}
+    tracks = [make_track(0), replace(make_track(1), identity=np.arange(8.0), **placed)]
     save_tracks(tmp_path / "tracks.safetensors", tracks)
     loaded = load_tracks(tmp_path / "tracks.safetensors")
     assert len(loaded) == 2
@@ -47,6 +48,17 @@ def test_landmark_error_is_relative_to_the_eyes():
     found = np.zeros((478, 2), np.float32)
     found[263, 0] = 50.0
     assert replace(track, landmarks=found, landmarks_fitted=found + np.array([3.0, 4.0])).landmark_error == pytest.approx(0.1)
+
+
+def test_the_heads_landmarks_lie_in_the_photo_as_in_the_working_picture():
+    track = replace(make_track(), photo_camera=make_track().camera.resized(90, 90))
+    assert track.placed_in_photo is None
+    points = track.camera.project(np.random.default_rng(0).normal(0.0, 0.05, (478, 3)))[1]
+    track = replace(track, placed=points, placed_sigma=np.full(478, 2.0))
+    scale = track.photo_camera.fx / track.camera.fx
+    wanted = track.photo_camera.project(np.random.default_rng(0).normal(0.0, 0.05, (478, 3)))[1]
+    np.testing.assert_allclose(track.placed_in_photo.points, wanted, atol=1e-3)
+    np.testing.assert_allclose(track.placed_in_photo.sigma, 2.0 * scale, rtol=1e-6)
 
 
 def test_wrong_shapes_and_numbers_are_refused():

@@ -1,0 +1,1 @@
+"""Makes the network that finds the head model's landmarks in photos."""

@@ -63,6 +63,14 @@ def errors_of(folder: Path, head: HeadModel) -> np.ndarray:
     return np.stack(result)
 
 
+def leading_modes(errors: np.ndarray, count: int) -> tuple[np.ndarray, float]:
+    """Leading modes of errors [N, 478, 2], one deviation each, [count, 478, 2], and their share of the squared error."""
+    _, values, directions = np.linalg.svd(errors.reshape(len(errors), -1), full_matrices=False)
+    share = float((values[:count] ** 2).sum() / (values**2).sum())
+    modes = directions[:count] * (values[:count] / np.sqrt(len(errors)))[:, None]
+    return modes.reshape(-1, *errors.shape[1:]), share
+
+
 def main() -> None:
     """Measure the landmarks on a capture and write the noise model."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -73,11 +81,9 @@ def main() -> None:
     head = load_open_head()
     errors = errors_of(options.capture, head)
     errors = np.concatenate([errors, errors[:, mirror_of(head)] * [-1.0, 1.0]])
-    _, values, directions = np.linalg.svd(errors.reshape(len(errors), -1), full_matrices=False)
-    share = (values[: options.modes] ** 2).sum() / (values**2).sum()
-    modes = directions[: options.modes] * (values[: options.modes] / np.sqrt(len(errors)))[:, None]
+    modes, share = leading_modes(errors, options.modes)
     metadata = {"format": "grmm-landmark-noise", "pictures": str(len(errors) // 2), "share": f"{share:.3f}"}
-    write_tensors(options.output, {"modes": modes.reshape(-1, 478, 2).astype(np.float16)}, metadata)
+    write_tensors(options.output, {"modes": modes.astype(np.float16)}, metadata)
     print(f"{len(errors) // 2} pictures; {options.modes} modes hold {share:.1%} of the squared error")
 
 

@@ -62,7 +62,7 @@ class PhotoProblem:
         priors: Of its unknowns.
         terms: What its unknowns are to explain, landmarks first.
         seen: Landmarks that camera, pose and expression are to explain in place of the first term once the shape is known;
-            None: in place of nothing.
+            None where it is known from the start.
     """
 
     width: int

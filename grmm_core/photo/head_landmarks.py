@@ -26,17 +26,17 @@ from .networks import NetworkName, ProgramNetwork, load_program
 ASSET = Path(__file__).resolve().parent.parent / "assets" / "head_landmarks.safetensors"
 FORMAT, VERSION = "grmm-head-landmarks", "1"
 PROGRAM: NetworkName = "face_landmarks_detector"
+SIGMAS = (-6.0, 1.0)  # least and largest logarithm of an expected error, eye distances
 EYE_DISTANCE = 78.0
 """Pixels of the network's picture between the outer corners of the eyes, in the mean: the unit of its errors."""
 
 
-def head_landmarks(pixels: Tensor, face: Face, mirrored: bool = True) -> HeadLandmarks:
+def head_landmarks(pixels: Tensor, face: Face) -> HeadLandmarks:
     """Find the head model's landmarks of a face that was found.
 
     Args:
         pixels: [1, 3, H, W] float 0..1, display sRGB.
         face: As `find_faces` found it there.
-        mirrored: Look at the mirror image, too: the mean errs less, in twice the time.
 
     Raises:
         FileAccessError, FileFormatError: The asset is missing or damaged.
@@ -44,14 +44,14 @@ def head_landmarks(pixels: Tensor, face: Face, mirrored: bool = True) -> HeadLan
     network, mirror = _network()
     region = Region.around(face.landmarks)
     seen = region.cut(pixels)
-    found = []
-    for picture in (seen, seen.flip(3)) if mirrored else (seen,):
-        raw = network(picture.permute(0, 2, 3, 1))[0].reshape(LANDMARK_COUNT, 3).numpy().astype(np.float64)
-        found.append(raw)
-    if mirrored:
-        found[1] = found[1][mirror] * [-1.0, 1.0, 1.0] + [LANDMARK_SIZE, 0.0, 0.0]
-    mean = np.mean(found, axis=0)
-    return HeadLandmarks(region.placed(mean[:, :2]), np.exp(mean[:, 2]) * EYE_DISTANCE * region.side / LANDMARK_SIZE)
+    own, other = (
+        network(picture.permute(0, 2, 3, 1))[0].reshape(LANDMARK_COUNT, 3).numpy().astype(np.float64)
+        for picture in (seen, seen.flip(3))
+    )
+    # a face in a mirror is a face, but the network errs otherwise on it
+    mean = (own + other[mirror] * [-1.0, 1.0, 1.0] + [LANDMARK_SIZE, 0.0, 0.0]) / 2.0
+    sigma = np.exp(mean[:, 2].clip(*SIGMAS)) * EYE_DISTANCE
+    return HeadLandmarks(region.placed(mean[:, :2]), sigma * region.side / LANDMARK_SIZE)
 
 
 @lru_cache(maxsize=1)

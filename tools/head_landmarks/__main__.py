@@ -20,8 +20,9 @@ import torch
 from grmm_core.files.tensorfile import read_tensors
 from grmm_core.photo.head_landmarks import ASSET
 
-from .photographer import Photographer, save_shown
-from .trainer import errors_on, save, train
+from ..shards import save_shard
+from .photographer import Photographer
+from .trainer import SAMPLE, errors_on, save, train
 
 RATE = 4e-4
 
@@ -50,7 +51,7 @@ def main() -> None:
         for number in range(args.count):
             path = args.folder / f"shard_{args.seed:02d}{number:04d}.npz"
             if not path.exists():
-                save_shown(path, list(photographer.pictures(np.random.default_rng([args.seed, number]))))
+                save_shard(path, list(photographer.pictures(np.random.default_rng([args.seed, number]))), SAMPLE)
                 _say(str(path))
         return
     start = {k: torch.from_numpy(v) for k, v in read_tensors(args.start)[0].items()} if args.start else None

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -45,12 +44,10 @@ class Shown:
     Attributes:
         crop: What the network sees, [256, 256, 3] uint8.
         truth: The head model's landmarks there, pixels, [478, 2].
-        found: MediaPipe's, likewise.
     """
 
     crop: np.ndarray
     truth: np.ndarray
-    found: np.ndarray
 
 
 class Photographer:
@@ -93,7 +90,7 @@ class Photographer:
             return None
         region = Region.around(face.landmarks)
         crop = region.cut(to_pixels(picture))[0].permute(1, 2, 0).numpy()
-        return Shown(quantize(crop), *(region.within(points).astype(np.float32) for points in (truth, found)))
+        return Shown(quantize(crop), region.within(truth).astype(np.float32))
 
 
 def _expression(g: Generator) -> np.ndarray:
@@ -154,10 +151,3 @@ def _developed(g: Generator, rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
         Image.fromarray(picture).save(buffer, "JPEG", quality=int(g.integers(30, 90)))
         picture = np.asarray(Image.open(buffer))
     return picture
-
-
-def save_shown(path: Path, shown: list[Shown]) -> None:
-    """Write pictures as one file."""
-    part = path.with_suffix(".part.npz")
-    np.savez(part, **{name: np.stack([getattr(one, name) for one in shown]) for name in ("crop", "truth", "found")})
-    part.rename(path)

@@ -14,16 +14,18 @@ from torch.nn import functional
 from grmm_core.files.tensorfile import write_tensors
 from grmm_core.head import load_open_head
 from grmm_core.photo.faces import LANDMARK_COUNT, LANDMARK_SIZE
-from grmm_core.photo.head_landmarks import ASSET, EYE_DISTANCE, FORMAT, PROGRAM, VERSION
+from grmm_core.photo.head_landmarks import ASSET, EYE_DISTANCE, FORMAT, PROGRAM, SIGMAS, VERSION
 from grmm_core.photo.networks import load_program
 
+from ..landmark_noise import leading_modes, mirror_of
 from ..photo_parser.drawn import Generator
+from ..shards import Shards
 
+SAMPLE = "crop", "truth"  # what a file holds of each picture
 BATCH = 16
 AVERAGED = 0.995  # share of the running mean of weights that a step keeps
 FROZEN = 6  # first convolutions, which keep what they learned from photos
 WARM = 100  # steps until the rate is whole
-SIGMAS = (-6.0, 1.0)  # least and largest logarithm of an expected error, eye distances
 START_SIGMA = -3.5
 DECAY = 1e-4
 MODES = 16
@@ -61,36 +63,10 @@ class LandmarkNetwork(nn.Module):
         return raw[..., :2], raw[..., 2].clamp(*SIGMAS)
 
 
-class Shards:
-    """Pictures of a folder, read again as it grows."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder, self._read = folder, set[Path]()
-        self.crops: list[np.ndarray] = []
-        self.truths: list[np.ndarray] = []
-
-    def refresh(self) -> int:
-        """Read new files; returns the number of pictures."""
-        for path in sorted(self.folder.glob("shard_??????.npz")):
-            if path not in self._read:
-                self._read.add(path)
-                with np.load(path) as arrays:
-                    self.crops += list(arrays["crop"])
-                    self.truths += list(arrays["truth"])
-        return len(self.truths)
-
-    def batch(self, numbers: np.ndarray) -> tuple[Tensor, np.ndarray]:
-        """Pictures [B, 3, S, S], 0..1, and landmarks, pixels, [B, 478, 2]."""
-        crops = np.stack([self.crops[i] for i in numbers])
-        return torch.from_numpy(crops).permute(0, 3, 1, 2).float() / 255, np.stack([self.truths[i] for i in numbers])
-
-
-def mirror_of() -> np.ndarray:
-    """Landmark on the other side of the face, [478]."""
-    head = load_open_head()
-    points = head.landmark_positions(head.v_template, LANDMARK_COUNT)
-    nearest: np.ndarray = np.linalg.norm(points[:, None] * [-1.0, 1.0, 1.0] - points[None], axis=2).argmin(1)
-    return nearest
+def batch(shards: Shards, numbers: np.ndarray) -> tuple[Tensor, np.ndarray]:
+    """Pictures [B, 3, S, S], 0..1, and landmarks, pixels, [B, 478, 2]."""
+    pictures = torch.from_numpy(shards.stacked("crop", numbers)).permute(0, 3, 1, 2).float() / 255
+    return pictures, shards.stacked("truth", numbers)
 
 
 def varied(pictures: Tensor, points: np.ndarray, mirror: np.ndarray, g: Generator) -> tuple[Tensor, np.ndarray]:
@@ -154,7 +130,7 @@ def train(
         start: Weights to begin with; None for those that MediaPipe trained.
         report: Called with a line of progress.
     """
-    g, mirror, shards = np.random.default_rng(5), mirror_of(), Shards(folder)
+    g, mirror, shards = np.random.default_rng(5), mirror_of(load_open_head()), Shards(folder, SAMPLE)
     torch.manual_seed(5)
     network = LandmarkNetwork(start)
     trained = [value for value in network.values if value.requires_grad]
@@ -166,7 +142,7 @@ def train(
             count = shards.refresh()
         for group in optimizer.param_groups:
             group["lr"] = rate * (0.5 + 0.5 * np.cos(np.pi * share)) * min(1.0, (step + 1) / WARM)
-        pictures, truth = varied(*shards.batch(g.integers(count, size=BATCH)), mirror, g)
+        pictures, truth = varied(*batch(shards, g.integers(count, size=BATCH)), mirror, g)
         points, sigma = network(pictures)
         squares = (((points - torch.from_numpy(truth).float()) / EYE_DISTANCE) ** 2).sum(-1)
         loss = (2 * sigma + squares * torch.exp(-2 * sigma) / 2).mean()
@@ -191,9 +167,9 @@ def errors_on(network: LandmarkNetwork, folder: Path) -> np.ndarray:
 
     Without their mean, since a shift is the camera's.
     """
-    shards, mirror, result = Shards(folder), mirror_of(), []
+    shards, mirror, result = Shards(folder, SAMPLE), mirror_of(load_open_head()), []
     for number in range(shards.refresh()):
-        picture, truth = shards.batch(np.array([number]))
+        picture, truth = batch(shards, np.array([number]))
         with torch.no_grad():
             own, other = (network(seen)[0][0].numpy() for seen in (picture, picture.flip(3)))
         found = (own + other[mirror] * [-1.0, 1.0] + [LANDMARK_SIZE, 0.0]) / 2
@@ -204,16 +180,11 @@ def errors_on(network: LandmarkNetwork, folder: Path) -> np.ndarray:
 
 
 def save(network: LandmarkNetwork, errors: np.ndarray, path: Path = ASSET) -> None:
-    """Write the asset: weights, mirrored landmarks, and the leading modes of the errors [N, 478, 2], one deviation each.
-
-    Modes are principal directions of the second moment, not of the variance: a systematic error counts as uncertainty, too.
-    """
-    _, values, directions = np.linalg.svd(errors.reshape(len(errors), -1), full_matrices=False)
-    modes = directions[:MODES] * (values[:MODES] / np.sqrt(len(errors)))[:, None]
-    held = (values[:MODES] ** 2).sum() / (values**2).sum()
+    """Write the asset: weights, mirrored landmarks, and the leading modes of the errors [N, 478, 2]."""
+    modes, held = leading_modes(errors, MODES)
     tensors = {
         str(number): value.detach().numpy().astype(np.float16)
         for number, value in zip(network.numbers, network.values, strict=True)
     }
-    tensors |= {"mirror": mirror_of().astype(np.int32), "modes": modes.reshape(-1, LANDMARK_COUNT, 2).astype(np.float16)}
+    tensors |= {"mirror": mirror_of(load_open_head()).astype(np.int32), "modes": modes.astype(np.float16)}
     write_tensors(path, tensors, {"format": FORMAT, "version": VERSION, "held": f"{held:.3f}"})

@@ -22,9 +22,10 @@ from grmm_core.files.tensorfile import read_tensors
 from grmm_core.head import load_open_head
 from grmm_core.photo.parser_network import ASSET, ParserNetwork
 
+from ..shards import save_shard
 from .checking import compare, worn
 from .samples import Maker
-from .training import overlaps, save_network, save_shard, train
+from .training import SAMPLE, overlaps, save_network, train
 
 SHARD = 40  # samples in a file; grooms change as often
 
@@ -89,7 +90,7 @@ def _make(args: argparse.Namespace) -> None:
             continue
         g = np.random.default_rng([args.seed, shard])
         maker.refresh(g, 3, 3)
-        save_shard(path, [maker.make(g) for _ in range(SHARD)])
+        save_shard(path, [maker.make(g) for _ in range(SHARD)], SAMPLE)
         _say(str(path))
 
 

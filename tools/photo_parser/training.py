@@ -15,8 +15,10 @@ from grmm_core.files.tensorfile import write_tensors
 from grmm_core.photo.parser import INPUTS, LABELS, MESH_PARTS, network_input
 from grmm_core.photo.parser_network import FORMAT, VERSION, ParserNetwork
 
-from .samples import IGNORED, Sample
+from ..shards import Shards
+from .samples import IGNORED
 
+SAMPLE = "picture", "mesh", "labels"  # what a file holds of each
 BATCH = 8
 DECAY = 1e-4
 PASTED = 0.25  # share of the samples that get another picture as their background
@@ -29,37 +31,10 @@ STARTS = {"scalp": "hair"}  # labels that parts of the mesh are taken for at fir
 RARE = {"glasses": 2.0, "hat": 1.5, "other": 1.5, "brows": 1.5, "beard": 1.5, "mouth": 1.5, "ears": 1.3, "hair": 1.2}
 
 
-def save_shard(path: Path, samples: list[Sample]) -> None:
-    """Write samples as one file."""
-    part = path.with_suffix(".part.npz")
-    np.savez(part, **{name: np.stack([getattr(s, name) for s in samples]) for name in ("picture", "mesh", "labels")})
-    part.rename(path)
-
-
-class Shards:
-    """Samples of a folder and those in it, read again as they grow."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder, self._read = folder, set[Path]()
-        self.pictures: list[np.ndarray] = []
-        self.meshes: list[np.ndarray] = []
-        self.labels: list[np.ndarray] = []
-
-    def refresh(self) -> int:
-        """Read new files; returns the number of samples."""
-        for path in sorted(self.folder.rglob("shard_????.npz")):
-            if path not in self._read:
-                self._read.add(path)
-                with np.load(path) as arrays:
-                    self.pictures += list(arrays["picture"])
-                    self.meshes += list(arrays["mesh"])
-                    self.labels += list(arrays["labels"])
-        return len(self.labels)
-
-    def batch(self, numbers: np.ndarray) -> tuple[Tensor, Tensor, Tensor]:
-        """Pictures 0..1, meshes, labels."""
-        picture, mesh, labels = (np.stack([rows[i] for i in numbers]) for rows in (self.pictures, self.meshes, self.labels))
-        return torch.from_numpy(picture).float() / 255, torch.from_numpy(mesh).float(), torch.from_numpy(labels).long()
+def batch(shards: Shards, numbers: np.ndarray) -> tuple[Tensor, Tensor, Tensor]:
+    """Pictures 0..1, meshes, labels."""
+    picture, mesh, labels = (torch.from_numpy(shards.stacked(name, numbers)) for name in SAMPLE)
+    return picture.float() / 255, mesh.float(), labels.long()
 
 
 def varied(picture: Tensor, mesh: Tensor, labels: Tensor, g: np.random.Generator) -> tuple[Tensor, Tensor, Tensor]:
@@ -108,7 +83,7 @@ def train(
     """
     g = np.random.default_rng(seed)
     torch.manual_seed(seed)
-    shards, network = Shards(folder), ParserNetwork(INPUTS, len(LABELS))
+    shards, network = Shards(folder, SAMPLE), ParserNetwork(INPUTS, len(LABELS))
     _first_guess(network)
     if start is not None:
         network.load_state_dict(start, strict=False)
@@ -124,7 +99,7 @@ def train(
             count = shards.refresh()
         for group in optimizer.param_groups:
             group["lr"] = rate * (0.5 + 0.5 * np.cos(np.pi * share)) * min(1.0, (step + 1) / 30)
-        picture, mesh, labels = varied(*shards.batch(g.integers(count, size=BATCH)), g)
+        picture, mesh, labels = varied(*batch(shards, g.integers(count, size=BATCH)), g)
         with torch.autocast("cpu", torch.bfloat16):
             logits = network(network_input(picture, mesh).to(memory_format=torch.channels_last))
         loss = functional.cross_entropy(logits.float(), labels, weight, ignore_index=IGNORED)
@@ -154,10 +129,10 @@ def _first_guess(network: ParserNetwork) -> None:
 
 def overlaps(network: ParserNetwork, folder: Path) -> dict[str, float]:
     """Intersection over union of each label over all samples of a folder."""
-    shards = Shards(folder)
+    shards = Shards(folder, SAMPLE)
     both, either = np.zeros(len(LABELS)), np.zeros(len(LABELS))
     for numbers in np.array_split(np.arange(count := shards.refresh()), max(1, count // BATCH)):
-        picture, mesh, labels = shards.batch(numbers)
+        picture, mesh, labels = batch(shards, numbers)
         with torch.no_grad():
             found = network(network_input(picture, mesh)).argmax(1)
         seen = labels != IGNORED

@@ -33,6 +33,7 @@ _depths = OccluderDepths()
 _has_window = not bpy.app.background
 _before: dict[tuple[str, str], np.ndarray] = {}  # the last picture by view layer and view, in a window
 
+FAILED = np.array([1.0, 0.0, 1.0, 1.0], np.float32)  # scene-linear color of a composite's picture that could not be made
 NO_AVATARS = "The scene has no visible GRMM avatar; add one with Add > GRMM."
 
 
@@ -49,13 +50,33 @@ def render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> No
         if not engine.test_break():
             engine.report({"ERROR"}, str(error))
     except GrmmError as error:
-        engine.report({"ERROR"}, str(error))
+        _fail(engine, depsgraph, str(error))
     except KeyboardInterrupt:
         # A farm that stops its job, or Ctrl-C in a script: the frame must not count as done.
-        engine.report({"ERROR"}, "The render was interrupted.")
+        _fail(engine, depsgraph, "The render was interrupted.")
     except Exception as error:  # noqa: BLE001 - see above: not even a defect of ours may leave here
         _log.exception("The GRMM engine failed.")
-        engine.report({"ERROR"}, describe_defect(error))
+        _fail(engine, depsgraph, describe_defect(error))
+
+
+def _fail(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph, message: str) -> None:
+    """Say what is wrong, and have a composite, which Blender saves all the same, be of one color that nobody overlooks.
+
+    Without its avatars it would pass for a good picture.
+    """
+    engine.report({"ERROR"}, message)
+    scene = depsgraph.scene_eval
+    if scene.grmm_composite.main is None:
+        return
+    region = render_region(scene.render, engine.resolution_x, engine.resolution_y)
+    values = {COMBINED: np.broadcast_to(FAILED, (region.height, region.width, 4))}
+    with _Result(engine, region, depsgraph.view_layer.name) as result:
+        for view in _views(scene):
+            result.write(values, view)
+
+
+def _views(scene: bpy.types.Scene) -> list[str]:
+    return [view.name for view in scene.render.views if view.use] if scene.render.use_multiview else [""]
 
 
 def describe_defect(error: Exception) -> str:
@@ -78,7 +99,7 @@ def _render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> N
     items = passes.layer_passes(view_layer, [obj.name for obj in drawn_objects(scene, instanced=True)])
 
     engine.update_stats("", "GRMM: reading the scene")
-    views = [view.name for view in scene.render.views if view.use] if scene.render.use_multiview else [""]
+    views = _views(scene)
     if _has_window:
         _show_before(engine, region, view_layer.name, views)
     values: dict[str, dict[str, np.ndarray]] = {}  # by view, then pass
@@ -108,8 +129,6 @@ def _view_values(
     scene = depsgraph.scene_eval
     if not scene.render.use_motion_blur:
         frame, meshes = _begin_frame(engine, depsgraph)
-        if not frame.scene.avatars:
-            engine.report({"WARNING"}, NO_AVATARS)
         _report_notes(engine, frame)
         if meshes is not None and beside is not None:
             meshes = _after(beside, meshes)
@@ -142,6 +161,8 @@ def _view_values(
 
 
 def _report_notes(engine: bpy.types.RenderEngine, frame: Frame) -> None:
+    if not frame.scene.has_avatars:
+        engine.report({"WARNING"}, NO_AVATARS)
     for note in dict.fromkeys(shot.note for shot in frame.scene.avatars if shot.note):
         engine.report({"WARNING"}, note)
 

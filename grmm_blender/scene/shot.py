@@ -97,12 +97,14 @@ class SceneShot:
 
     Attributes:
         avatars: Avatars and clouds to draw, sorted by name: pictures do not depend on the order of creation.
+        has_avatars: There are any, if only as holdouts.
         occluders: Meshes that hide them.
         world: Scene-linear color of the background, [3], or None for a transparent film.
         lighting: Light of the scene, where an avatar takes it.
     """
 
     avatars: tuple[AvatarShot, ...] = ()
+    has_avatars: bool = False
     occluders: Occluders = Occluders()
     world: np.ndarray | None = None
     lighting: Lighting | None = None

@@ -103,8 +103,9 @@ def begin_scene(
     drawn_shots = tuple(shot for shot in shots if not shot.holdout)
     if is_lit or not reader.found:
         occluders = reader.occluders(replaced)
-        return SceneShot(drawn_shots, occluders, world, lights.lighting(scene, occluders.plain) if is_lit else None), None
-    return SceneShot(drawn_shots, world=world), lambda: reader.occluders(replaced)
+        lighting = lights.lighting(scene, occluders.plain) if is_lit else None
+        return SceneShot(drawn_shots, bool(shots), occluders, world, lighting), None
+    return SceneShot(drawn_shots, bool(shots), world=world), lambda: reader.occluders(replaced)
 
 
 def take_frame(

@@ -34,6 +34,8 @@ def test_pixels_in_front_and_behind(run_blender: RunBlender, blender_version: st
     assert result["unseen"] <= 2 * CHANNEL_STEP  # where the avatar is not quite solid, green shines through
     assert result["compared_left"] <= CHANNEL_STEP
     assert result["compared_right"] <= CHANNEL_STEP
+    assert result["failed"] == [0, 0, 0]
+    assert result["failed_color"] == [255, 0, 255]
     assert result["before"]["scenes"] == 1
     assert result["before"]["camera"] == [True]
     assert result["first"]["scenes"] == 2

@@ -235,9 +235,9 @@ def test_errors_say_what_is_wrong_and_leave_no_file(run_blender, weights, tmp_pa
     assert done.result["after"] <= CHANNEL_STEP
     assert done.result["worker"] == "worker"
     assert done.result["world"] == pytest.approx([255, 0, 0, 255])
-    # Nothing to be seen of an avatar: the background, and a warning each time.
+    # Nothing to be seen of an avatar: the background, and a warning each time, but for holdouts.
     assert done.result["hidden"] == 0
-    assert done.output.count("no visible GRMM avatar") == 2
+    assert done.output.count("no visible GRMM avatar") == 3
 
 
 def test_renders_that_end_before_they_are_done(render_script, blender_version):

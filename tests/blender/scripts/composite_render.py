@@ -106,6 +106,12 @@ report(
 )
 partner.grmm_render.use_occlusion = True
 
+# A picture that Blender saves although its avatars could not be drawn does not pass for a good one.
+head = heads(scene)[0]
+source, head.grmm.source = head.grmm.source, str(folder / "missing.grmm")
+report(failed=[int(each) for each in np.ptp(shot("failed"), axis=(0, 1))], failed_color=shot("failed")[0, 0].tolist())
+head.grmm.source = source
+
 # A second head takes part without being asked.
 bpy.ops.grmm.add_head(person="RANDOM", seed=5)
 bpy.context.view_layer.update()

@@ -133,9 +133,14 @@ session.render = original
 # Everything works again afterwards.
 report(messages=messages, left=left, after=difference(load_png(render(folder / "after.png")), alone), worker=worker.kind)
 
-# A hidden avatar is no error, but is said.
-head.hide_render = True
+# A holdout is an avatar. A hidden one is no error, but is said, in blur once.
+head.is_holdout = True
+render(folder / "cut.png")
+head.is_holdout, head.hide_render = False, True
 report(hidden=float(load_png(render(folder / "hidden.png"))[..., 3].max()))
+scene.render.use_motion_blur = True
+render(folder / "blurred.png")
+scene.render.use_motion_blur = False
 
 # No avatar: the world is drawn, with a warning.
 for item in (head, rig):

@@ -43,7 +43,7 @@ LOWER = (-0.004, 0.009)  # metres by which brows may be moved down; the mesh's a
 BRIDGE, AROUND_BROWS = 168, 0.008  # landmark between the brows; metres around them in which skin is looked for
 ARCH = 0.005  # of the head's height: how far beside the landmarks' brows a brow may be
 KEPT = (0.15, 0.65)  # of a strand's cover by what the photo shows, from one strand to the next
-FEWEST = 0.05  # of the strands; fewer were no brows, and the plainest groom takes their place
+FEWEST = 0.05  # of the strands; fewer are no beard, and were no brows, whose place the plainest groom takes
 SIDES = 0.006  # metres between a hidden strand's mirror image and what stands there
 # metres from a strand under frames of glasses to those that tell what it is; share from which none do
 FRAMES, MOSTLY = 0.012, 0.45
@@ -80,6 +80,8 @@ def face_hair(
             groom = _at_height(library_groom("natural", head.name, "brows"), track, view, head)
         elif kept.mean() > FEWEST:
             groom = groom.select(kept)
+        elif name == "beard":
+            continue
         else:
             groom = _at_height(library_groom("thin", head.name, "brows"), track, view, head)
         grooms.append(groom)

@@ -31,8 +31,9 @@ LEAST_GLASSES, LEAST_THING = 0.008, 0.006  # of the person's pixels; smaller fin
 # drawn glasses have 0.22 and more, dark sockets 0.09 at most
 BRIDGE_HEIGHT, BRIDGE, BRIDGED = 0.4, (0.3, 0.7), 0.15
 # metres beside the middle of the lips, below and above them, where a beard is looked for, and its share there: shaven chins
-# in the shade have up to 0.17, stubble 0.3, upper lips up to 0.34
-BEARD_ZONE, BEARD_CHIN, BEARD_LIP, LEAST_BEARD, LEAST_MOUSTACHE = 0.016, (0.008, 0.022), (0.003, 0.012), 0.25, 0.5
+# have up to 0.17 in the shade and 0.52 in colored light from below, upper lips 0.34; full beards and goatees 0.66 and more.
+# Stubble (0.3) is left to the skin, which has its color: a woman with a beard is worse
+BEARD_ZONE, BEARD_CHIN, BEARD_LIP, LEAST_BEARD, LEAST_MOUSTACHE = 0.016, (0.008, 0.022), (0.003, 0.012), 0.55, 0.5
 BEARD_REACH = 0.06, 0.1  # metres beside and below the lips that a beard may cover
 LEAST_HAT = 0.15  # of hat and hair together; a smaller part is hair in another light
 AROUND_EYES = 4  # of the network's pixels, within which eyes, brows and mouth are not asked whether they are hair

@@ -7,6 +7,7 @@ import json
 
 import numpy as np
 import pytest
+import torch
 
 from grmm_core.controls.frame import Controls
 from grmm_core.errors import FileFormatError
@@ -16,7 +17,7 @@ from grmm_core.head.open_head import load_open_head
 from grmm_core.light.parse import lighting_of
 from grmm_core.light.shading import Response
 from grmm_core.model.portrait import portrait_camera
-from grmm_core.photo import parser_network
+from grmm_core.photo import parser, parser_network
 from grmm_core.photo.glasses import worn_glasses
 from grmm_core.photo.parser import LABELS, MESH_PARTS, bridged, face_parts, mesh_channels, parse
 from grmm_core.pictures.images import quantize, write_png
@@ -93,6 +94,21 @@ def test_a_beard_is_one_beside_a_window_too_and_chins_have_none(bearded, tracks,
     for name in tracks:
         chin = parse(tracks[name], head).beard[tuple(tracks[name].landmarks[[152, 18, 164], 1::-1].astype(int).T)]
         assert chin.max() < 0.3, name
+
+
+@pytest.mark.parametrize(("share", "is_one"), [(0.5, False), (0.7, True)])
+def test_what_may_be_a_beard_is_skin_unless_the_chin_surely_has_one(share, is_one, tracks, head, monkeypatch):
+    def network(pixels):
+        shares = torch.full((1, len(LABELS), *pixels.shape[2:]), 1e-6)
+        shares[:, LABELS.index("beard")], shares[:, LABELS.index("skin")] = share, 1.0 - share
+        return shares.log()
+
+    monkeypatch.setattr(parser, "load_parser", lambda *_: network)
+    track = dataclasses.replace(tracks["astronaut"])
+    chin = tuple(track.landmarks[[152, 18], 1::-1].astype(int).T)
+    parts = parse(track, head)
+    assert np.all((parts.beard[chin] > 0.5) == is_one)
+    assert np.all((parts.skin[chin] > 0.5) != is_one)
 
 
 def test_dark_sockets_are_no_glasses_but_lenses_with_a_bridge_are(tracks, head):

@@ -19,6 +19,8 @@ from torch.nn import functional
 from ..geometry.camera import Camera
 from ..geometry.zbuffer import EMPTY, triangle_depth
 from ..head.head_model import HeadModel
+from ..pictures.color import srgb_to_linear
+from .beard import Place, beard_on_chin
 from .parser_network import load_parser
 from .person import guided_filter
 from .widening import widened
@@ -28,13 +30,10 @@ REACH = 0.2  # metres from the head's origin that are 1 in the channels of place
 EDGE_RADIUS, EDGE_EPSILON = 1.0 / 96.0, 4e-4  # of the guided filter: share of the side, squared intensity
 LEAST_GLASSES, LEAST_THING = 0.008, 0.006  # of the person's pixels; smaller finds are dark eyes, buttons, shadows
 # of the eyes' distance: how far above or below them glasses cross the nose, and where; the share that they then have there:
-# drawn glasses have 0.22 and more, dark sockets 0.09 at most
-BRIDGE_HEIGHT, BRIDGE, BRIDGED = 0.4, (0.3, 0.7), 0.15
-# metres beside the middle of the lips, below and above them, where a beard is looked for, and its share there: shaven chins
-# have up to 0.17 in the shade and 0.52 in colored light from below, upper lips 0.34; full beards and goatees 0.66 and more.
-# Stubble (0.3) is left to the skin, which has its color: a woman with a beard is worse
-BEARD_ZONE, BEARD_CHIN, BEARD_LIP, LEAST_BEARD, LEAST_MOUSTACHE = 0.016, (0.008, 0.022), (0.003, 0.012), 0.55, 0.5
-BEARD_REACH = 0.06, 0.1  # metres beside and below the lips that a beard may cover
+# drawn sunglasses have 0.72 and more, made-up eyes 0.44 at most (frames of clear glasses are found by their outlines as well)
+BRIDGE_HEIGHT, BRIDGE, BRIDGED, BROW_HEIGHT = 0.4, (0.3, 0.7), 0.5, 0.2  # the last: brows above eyes, likewise
+# metres beside the middle of the lips and above them, and the share there of a moustache; upper lips without have up to 0.34
+UPPER_LIP, LEAST_MOUSTACHE = ((-0.016, 0.016), (0.003, 0.012)), 0.5
 LEAST_HAT = 0.15  # of hat and hair together; a smaller part is hair in another light
 AROUND_EYES = 4  # of the network's pixels, within which eyes, brows and mouth are not asked whether they are hair
 # of the face: larger pieces of skin that hair parts from eyes and mouth are skin; more hair than one part in so many parts them
@@ -122,7 +121,7 @@ def parse(track: Tracked, head: HeadModel) -> PhotoParts:
     mesh = mesh_channels(head, vertices, track.camera.resized(SIZE, SIZE))
     with torch.no_grad():
         logits = load_parser(INPUTS, len(LABELS))(network_input(small, torch.from_numpy(mesh)[None]))
-        shares = _believed(logits.softmax(1), mesh)
+        shares = _believed(logits.softmax(1), mesh, small[0, :3])
         shares = functional.interpolate(shares, pixels.shape[2:], mode="bilinear", align_corners=False)
         radius = max(1, round(max(pixels.shape[2:]) * EDGE_RADIUS))
         sharp = guided_filter(pixels[:, :3].mean(1, keepdim=True), shares[0, :, None], radius, EDGE_EPSILON)[:, 0].clamp_min(
@@ -244,12 +243,13 @@ def _things(shares: Tensor, picture: Tensor) -> Tensor:
     return taken
 
 
-def _believed(shares: Tensor, mesh: np.ndarray) -> Tensor:
+def _believed(shares: Tensor, mesh: np.ndarray, picture: Tensor) -> Tensor:
     """Give what is too small to be glasses, a hat or a thing, and glasses without a bridge, to the other labels.
 
     Args:
         shares: Of the labels, [1, L, S, S].
         mesh: `mesh_channels`.
+        picture: Display sRGB, [3, S, S].
     """
     seen = (shares > 0.5).sum((0, 2, 3)).double()
     glasses, hat, other, hair, background = (LABELS.index(name) for name in ("glasses", "hat", "other", "hair", "background"))
@@ -258,38 +258,35 @@ def _believed(shares: Tensor, mesh: np.ndarray) -> Tensor:
     kept[glasses] = float(seen[glasses] > LEAST_GLASSES * person and bridged(shares[0, glasses].numpy(), mesh))
     kept[other] = float(seen[other] > LEAST_THING * person)
     kept[hat] = float(seen[hat] > LEAST_HAT * (seen[hat] + seen[hair]))
-    shares = _beard(shares, mesh) * kept[:, None, None] + 1e-6
+    shares = _beard(shares, mesh, srgb_to_linear(picture.numpy()).mean(0)) * kept[:, None, None] + 1e-6
     return shares / shares.sum(1, keepdim=True)
 
 
-def _beard(shares: Tensor, mesh: np.ndarray) -> Tensor:
+def _beard(shares: Tensor, mesh: np.ndarray, light: np.ndarray) -> Tensor:
     """Believe a beard on the chin or above the lip: one below the chin alone is its shade, and goes to the skin.
 
-    Where there is one on the chin, what looks like a thing before chin and throat is the beard.
+    Where there is one on the chin, what looks like a thing before chin and throat is the beard, and so is dark skin.
 
     Args:
         shares: Of the labels, [1, L, S, S].
         mesh: `mesh_channels`.
+        light: Of the picture, linear, [S, S].
     """
     names, up, across = tuple(MESH_PARTS), mesh[-2] * REACH, mesh[-1] * REACH
     beard, other, skin, neck = (LABELS.index(name) for name in ("beard", "other", "skin", "neck"))
-    lips, on_skin, on_neck = (mesh[names.index(name)] for name in ("lips", "skin", "neck"))
-    if not (lips > 0.5).any():
+    lips, on_skin, on_neck = (mesh[names.index(name)] > 0.5 for name in ("lips", "skin", "neck"))
+    if not lips.any():
         return shares
-    beside, below, above = across - across[lips > 0.5].mean(), up[lips > 0.5].min() - up, up - up[lips > 0.5].max()
-
-    def share(away: np.ndarray, ends: tuple[float, float]) -> float:
-        zone = (np.abs(beside) < BEARD_ZONE) & (on_skin > 0.5) & (away > ends[0]) & (away < ends[1])
-        return float(shares[0, beard].numpy()[zone].mean()) if zone.any() else 0.0
-
-    divided = shares.clone()
-    if share(below, BEARD_CHIN) > LEAST_BEARD:
-        around = (np.abs(beside) < BEARD_REACH[0]) & (below > 0.0) & (below < BEARD_REACH[1]) & (on_skin + on_neck > 0.5)
-        taken = shares[0, other] * torch.from_numpy(around)
-        divided[0, beard] += taken
-        divided[0, other] -= taken
-    elif share(above, BEARD_LIP) < LEAST_MOUSTACHE:
-        on_throat = torch.from_numpy(on_neck)
+    place = Place(across - across[lips].mean(), up[lips].min() - up, up - up[lips].max(), on_skin, on_neck)
+    share, divided = shares[0, beard].numpy(), shares.clone()
+    found, lip = beard_on_chin(share, place, light), place.zone(*UPPER_LIP, above=True)
+    if found is not None:
+        around = torch.from_numpy(np.float32(found.around))
+        for label, taken in ((other, around), (skin, torch.from_numpy(found.dark))):
+            divided[0, beard] += taken * shares[0, label]
+            divided[0, label] -= taken * shares[0, label]
+    elif not lip.any() or share[lip].mean() < LEAST_MOUSTACHE:
+        on_throat = torch.from_numpy(mesh[names.index("neck")])
         divided[0, skin] += (1.0 - on_throat) * shares[0, beard]
         divided[0, neck] += on_throat * shares[0, beard]
         divided[0, beard] = 0.0
@@ -303,16 +300,28 @@ def bridged(glasses: np.ndarray, mesh: np.ndarray) -> bool:
         glasses: Their share of each pixel, [S, S].
         mesh: `mesh_channels`.
     """
-    eyes, up, across = mesh[tuple(MESH_PARTS).index("eyes")] > 0.5, mesh[-2], mesh[-1]
-    middle = float(across[eyes].mean()) if eyes.any() else 0.0
-    sides = [eyes & (across < middle), eyes & (across >= middle)]
-    if not all(side.any() for side in sides):  # of a face from the side
+    up, across = mesh[-2], mesh[-1]
+    place = _eyes_in(mesh)
+    if place is None:  # of a face from the side
         return True
-    left, right = (float(across[side].mean()) for side in sides)
-    zone = np.abs(up - float(up[eyes].mean())) < BRIDGE_HEIGHT * (right - left)
-    place = (across - left) / (right - left)
-    parts = [zone & (place >= low) & (place < low + 0.1) for low in np.arange(*BRIDGE, 0.1)]
-    return all(float(glasses[part].max()) > BRIDGED for part in parts if part.any())
+    left, right, level = place
+    zone = np.abs(up - level) < BRIDGE_HEIGHT * (right - left)
+    share = (across - left) / (right - left)
+    steps = [zone & (share >= low) & (share < low + 0.1) for low in np.arange(*BRIDGE, 0.1)]
+    return all(float(glasses[step].max()) > BRIDGED for step in steps if step.any())
+
+
+def _eyes_in(mesh: np.ndarray) -> tuple[float, float, float] | None:
+    """Where both eyes are sideways, and how high, in the units of `mesh_channels`; None where only one side is seen."""
+    up, across = mesh[-2], mesh[-1]
+    for name, above in (("eyes", 0.0), ("brows", BROW_HEIGHT)):  # of closed eyes nothing is seen
+        part = mesh[tuple(MESH_PARTS).index(name)] > 0.5
+        middle = float(across[part].mean()) if part.any() else 0.0
+        sides = [part & (across < middle), part & (across >= middle)]
+        if all(side.any() for side in sides):
+            left, right = (float(across[side].mean()) for side in sides)
+            return left, right, float(up[part].mean()) - above * (right - left)
+    return None
 
 
 def network_input(picture: Tensor, mesh: Tensor) -> Tensor:

@@ -139,6 +139,10 @@ def test_dark_sockets_are_no_glasses_but_lenses_with_a_bridge_are(tracks, head):
     assert not bridged(sockets, mesh)
     bar = np.abs(mesh[-2] - mesh[-2][eyes].mean()) < 0.1 * across
     assert bridged(np.where(bar, 0.8, sockets), mesh)
+    shut = mesh.copy()
+    shut[0] = 0.0
+    assert not bridged(sockets, shut), "dark lids of closed eyes"
+    assert bridged(np.where(bar, 0.8, sockets), shut)
 
 
 def test_made_up_eyes_are_no_glasses(tracks, head):

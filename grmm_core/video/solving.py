@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..controls.names import ARKIT_NAMES
-from ..fitting.landmark_priors import EYES, Priors, View, landmark_sigmas, make_priors
+from ..fitting.landmark_priors import Priors, View, landmark_sigmas, make_priors
 from ..fitting.landmark_stage import Observation, seen_pose
 from ..fitting.point_rig import LandmarkRig
 from ..fitting.solver import PhotoProblem, Problem, Solution, Term, project, solve
@@ -28,7 +28,6 @@ FIRST_STEPS = 10  # where no frame before says where to begin
 _FOCAL_SIGMA = 1e-4  # of the logarithm: it is the camera's
 _BLINK, _BLINK_SIGMA = 1.0, 0.04  # share of what is reported, and how far it is believed
 _BROW_SIGMA = 0.4  # reported brows move by less than two thirds of what landmarks do
-_LID_FACTOR = 2.0  # of the landmarks' expected error at the eyes
 _EYE_CORNERS = (33, 263)
 _TO_HEAD = np.diag([1.0, -1.0, -1.0])  # a camera's axes (y down, z forward) to the axes of a head that looks into it
 
@@ -80,9 +79,8 @@ def solve_frames(followed: Followed, actor: Actor, rig: LandmarkRig, progress: S
             view = View(turned, offset, magnification, float(np.log(actor.focal)), expression, priors.pose_mean, np.zeros(0))
         unit = eyes * np.exp(-view.magnification)  # pixels
         target = item.landmarks[:, :2] - actor.offsets @ roll_of(view.rotation) * unit
-        sigma = landmark_sigmas(person, view.rotation)
-        sigma[list(EYES)] *= _LID_FACTOR
-        photo = PhotoProblem(item.width, item.height, priors, (Term(person, target, sigma * unit),))
+        sigma = landmark_sigmas(person, view.rotation) * unit
+        photo = PhotoProblem(item.width, item.height, priors, (Term(person, target, sigma),))
         problem = Problem((photo,), center, 0, person.expression_count, 0)
         solution = Solution(np.zeros(0), (view,))
         if begin:

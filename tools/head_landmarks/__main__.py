@@ -5,7 +5,7 @@
     python -m tools.head_landmarks train PICTURES CHECKED --minutes 60
 
 `make` (several may run, with different seeds) and `train` may run at the same time: training takes in what is there. A file has
-96 pictures and takes a minute. CHECKED tells how the network errs; its leading modes go into the asset.
+some 96 pictures and takes a minute. CHECKED tells how the network errs; its leading modes go into the asset.
 """
 
 from __future__ import annotations

@@ -94,7 +94,7 @@ class Photographer:
 
 
 def _expression(g: Generator) -> np.ndarray:
-    """Weights of the aligned expressions by chance, [60]: open mouths and smiles, as photos have them, and any others."""
+    """Weights of the aligned expressions by chance, [60]: wide and narrow mouths, raised brows, and any others."""
     weights = np.zeros(len(ALIGNED_NAMES), np.float32)
 
     def put(shape: str, value: float, sides: tuple[str, ...] = ("Left", "Right", "")) -> None:
@@ -102,21 +102,33 @@ def _expression(g: Generator) -> np.ndarray:
             if name in [shape + side for side in sides]:
                 weights[index] = max(weights[index], value)
 
-    if g.random() < 0.12:
+    def perhaps(share: float, least: float, most: float, *shapes: str) -> None:
+        if g.random() < share:
+            for shape in shapes:
+                put(shape, g.uniform(least, most))
+
+    if g.random() < 0.1:
         return weights
     for _ in range(int(g.integers(0, 6))):
         shape = _SHAPES[int(g.integers(len(_SHAPES)))]
-        put(shape, g.uniform(0.1, 0.9), ("Left", "Right", "") if g.random() < 0.8 else (str(g.choice(["Left", "Right"])), ""))
+        put(shape, g.uniform(0.1, 1.0), ("Left", "Right", "") if g.random() < 0.8 else (str(g.choice(["Left", "Right"])), ""))
     if g.random() < 0.5:
         put("jawOpen", g.beta(1.3, 2.5))
-    if g.random() < 0.45:
+    if g.random() < 0.45:  # a smile of shapes that are wider together than the widest alone
         smile = g.uniform(0.2, 1.0)
         put("mouthSmile", smile)
-        put("cheekSquint", smile * g.uniform(0.0, 0.8))
-        put("eyeSquint", smile * g.uniform(0.0, 0.6))
-    for shape, share, most in (("eyeBlink", 0.15, 1.0), ("mouthUpperUp", 0.2, 0.7), ("mouthLowerDown", 0.2, 0.7)):
-        if g.random() < share:
-            put(shape, g.uniform(0.1, most))
+        perhaps(0.5, 0.0, smile, "cheekSquint")
+        perhaps(0.5, 0.0, 0.6 * smile, "eyeSquint")
+        perhaps(0.5, 0.0, 1.0, "mouthDimple")
+        perhaps(0.4, 0.0, 1.0, "mouthStretch")
+        perhaps(0.4, 0.1, 1.0, "mouthUpperUp")
+    elif g.random() < 0.35:
+        perhaps(1.0, 0.2, 1.0, *g.permutation(["mouthPucker", "mouthFunnel"])[: g.integers(1, 3)])
+    perhaps(0.15, 0.1, 1.0, "eyeBlink")
+    perhaps(0.15, 0.1, 0.8, "mouthUpperUp")
+    perhaps(0.2, 0.1, 0.8, "mouthLowerDown")
+    perhaps(0.2, 0.2, 1.0, "browInnerUp", "browOuterUp")
+    perhaps(0.15, 0.2, 1.0, "browDown")
     return weights
 
 

@@ -20,6 +20,7 @@ from grmm_core.photo.networks import load_program
 from ..landmark_noise import leading_modes, mirror_of
 from ..photo_parser.drawn import Generator
 from ..shards import Shards
+from .make_up import made_up
 
 SAMPLE = "crop", "truth"  # what a file holds of each picture
 BATCH = 16
@@ -63,10 +64,12 @@ class LandmarkNetwork(nn.Module):
         return raw[..., :2], raw[..., 2].clamp(*SIGMAS)
 
 
-def batch(shards: Shards, numbers: np.ndarray) -> tuple[Tensor, np.ndarray]:
-    """Pictures [B, 3, S, S], 0..1, and landmarks, pixels, [B, 478, 2]."""
-    pictures = torch.from_numpy(shards.stacked("crop", numbers)).permute(0, 3, 1, 2).float() / 255
-    return pictures, shards.stacked("truth", numbers)
+def batch(shards: Shards, numbers: np.ndarray, g: Generator | None = None) -> tuple[Tensor, np.ndarray]:
+    """Pictures [B, 3, S, S], 0..1, some of them made up where `g` draws that, and landmarks, pixels, [B, 478, 2]."""
+    pictures, points = shards.stacked("crop", numbers) / np.float32(255), shards.stacked("truth", numbers)
+    if g is not None:
+        pictures = np.stack([made_up(*shown, g) for shown in zip(pictures, points, strict=True)])
+    return torch.from_numpy(pictures).permute(0, 3, 1, 2), points
 
 
 def varied(pictures: Tensor, points: np.ndarray, mirror: np.ndarray, g: Generator) -> tuple[Tensor, np.ndarray]:
@@ -142,7 +145,7 @@ def train(
             count = shards.refresh()
         for group in optimizer.param_groups:
             group["lr"] = rate * (0.5 + 0.5 * np.cos(np.pi * share)) * min(1.0, (step + 1) / WARM)
-        pictures, truth = varied(*batch(shards, g.integers(count, size=BATCH)), mirror, g)
+        pictures, truth = varied(*batch(shards, g.integers(count, size=BATCH), g), mirror, g)
         points, sigma = network(pictures)
         squares = (((points - torch.from_numpy(truth).float()) / EYE_DISTANCE) ** 2).sum(-1)
         loss = (2 * sigma + squares * torch.exp(-2 * sigma) / 2).mean()

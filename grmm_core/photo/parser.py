@@ -43,8 +43,9 @@ MOST_APART, PASSED = 0.12, 3.0
 COLORS, SURE, LEAST_SURE, LEAST_LIKELY, STRONGEST, DOUBT = 24, 0.8, 0.002, 1e-6, 20.0, 0.08
 PERSON = ("skin", "hair", "brows", "beard", "eyes", "lips", "mouth", "ears", "neck")
 # share of a pixel from which on its color is a thing's, how much likelier than the person's a color must be to be one, and
-# how far around it that is asked, as a share of the side; beyond, the person's colors are read
-THING, FOREIGN, AROUND_THING = 0.3, 8.0, 0.12
+# how far around it that is asked, as a share of the side; beyond, the person's colors are read; how much of eyes and mouth no
+# thing hides
+THING, FOREIGN, AROUND_THING, MOST_FEATURES = 0.3, 8.0, 0.12, 0.75
 MESH_PARTS = {
     "eyes": ("left_eyeball", "right_eyeball"), "mouth": ("mouth_interior", "upper_teeth", "lower_teeth", "tongue"),
     "lips": ("lips",), "brows": ("brows",), "ears": ("ears",), "scalp": ("scalp",), "neck": ("neck",), "skin": (),
@@ -135,7 +136,7 @@ def parse(track: Tracked, head: HeadModel) -> PhotoParts:
         features = functional.interpolate(features, pixels.shape[2:])[0, 0]
         divided = _by_color(sharp, pixels[0, :3], ("hat", "hair"), torch.ones_like(features))
         divided = _by_color(divided, pixels[0, :3], ("hair", "skin"), 1.0 - features)
-        divided = _things(divided, pixels[0, :3])
+        divided = _things(divided, pixels[0, :3], features)
     return PhotoParts(*_enclosed(divided, eyes).numpy())
 
 
@@ -219,7 +220,7 @@ def _likelihood(picture: Tensor, sure: Tensor) -> Tensor | None:
     return (counted.flatten() / counted.sum())[number].reshape(sure.shape) + LEAST_LIKELY
 
 
-def _things(shares: Tensor, picture: Tensor) -> Tensor:
+def _things(shares: Tensor, picture: Tensor, features: Tensor) -> Tensor:
     """Give what has the color of a thing in front of the person, and hardly any of the person has, to the thing.
 
     Around it the network sees neither skin nor hair, and calls what the mesh has there.
@@ -227,6 +228,7 @@ def _things(shares: Tensor, picture: Tensor) -> Tensor:
     Args:
         shares: Of the labels, [L, H, W].
         picture: [3, H, W].
+        features: Around eyes and mouth, 0..1, [H, W]. What would take most of them is no thing, for the face was found.
     """
     other, person = LABELS.index("other"), [LABELS.index(name) for name in PERSON]
     own = shares[person].sum(0)
@@ -238,6 +240,8 @@ def _things(shares: Tensor, picture: Tensor) -> Tensor:
         return shares
     taken = shares.clone()
     foreign = functional.avg_pool2d((thing > FOREIGN * body)[None, None].float(), 5, 1, 2)[0, 0].round() * around
+    if (foreign * features).sum() > MOST_FEATURES * features.sum():
+        return shares
     taken[other] += foreign * own
     taken[person] *= 1.0 - foreign
     return taken

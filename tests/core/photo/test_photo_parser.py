@@ -174,6 +174,30 @@ def test_a_board_before_half_a_face_is_a_thing_with_all_of_its_color(tracks, hea
     assert after.other[~board & (before.skin > 0.9)].mean() < 0.05
 
 
+@pytest.mark.parametrize(("painted", "is_thing"), [(((33, 133), (61, 291)), True), (((33, 133), (263, 362), (61, 291)), False)])
+def test_what_would_take_both_eyes_and_the_mouth_by_its_color_is_no_thing(painted, is_thing, tracks, head, monkeypatch):
+    track = tracks["astronaut"]
+    rows, columns = np.mgrid[: track.image.shape[0], : track.image.shape[1]]
+
+    def discs(eyes, mouth, below=0):
+        middles = [(track.landmarks[list(corners), :2].mean(0), mouth if 61 in corners else eyes) for corners in painted]
+        return np.any([np.hypot(columns - x, rows - y - below) < radius for (x, y), radius in middles], axis=0)
+
+    thing = discs(8, 26, below=24)[2::4, 2::4]  # what the network sees of it
+
+    def network(pixels):
+        shares = torch.full((1, len(LABELS), *pixels.shape[2:]), 1e-6)
+        share = torch.from_numpy(thing * np.float32(0.6))
+        shares[:, LABELS.index("other")], shares[:, LABELS.index("skin")] = share, 1.0 - share
+        return shares.log()
+
+    monkeypatch.setattr(parser, "load_parser", lambda *_: network)
+    image = np.where(discs(34, 50)[..., None], np.float32([0.3, 0.2, 0.6]), track.image)
+    eye = tuple(track.landmarks[[159, 145], 1::-1].astype(int).T)
+    found = parse(dataclasses.replace(track, image=image), head).other[eye]
+    assert np.all((found > 0.5) == is_thing), found
+
+
 def test_what_is_left_out_is_said(tracks, head):
     said = left_out([tracks["admiral"], tracks["astronaut"]], head)
     assert any("The hat" in sentence and "admiral.jpg" in sentence for sentence in said)

@@ -250,9 +250,11 @@ settle()
 report(nothing_changed=viewport._drawable.packed is before)
 
 # A rig that is dragged and turned takes its splats along at once; new ones come a moment later.
+settle()
 standing = in_buffer(draw)
 rests, at_rest = threading.Event(), viewport.jobs._wait_for_rest
 viewport.jobs._wait_for_rest = lambda is_outdated: rests.wait(60)
+before = viewport._drawable.packed
 rig.location.x, rig.rotation_euler = 0.05, (0.0, 0.1, 0.05)
 bpy.context.view_layer.update()
 overlay._on_change()

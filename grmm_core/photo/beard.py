@@ -45,9 +45,7 @@ class Place:
     def zone(self, sideways: Ends, away: Ends, *, above: bool = False, side: int = 1) -> np.ndarray:
         """Skin so far beside (of one side, -1 or 1) and below or above the lips, [S, S] bool."""
         beside, apart = side * self.across, self.above if above else self.below
-        found: np.ndarray = (
-            self.on_skin & (beside > sideways[0]) & (beside < sideways[1]) & (apart > away[0]) & (apart < away[1])
-        )
+        found: np.ndarray = self.on_skin & _within(beside, sideways) & _within(apart, away)
         return found
 
 
@@ -87,9 +85,8 @@ def beard_on_chin(share: np.ndarray, place: Place, light: np.ndarray) -> Beard |
     found = float(share[chin].mean())
     if found < (SOME if lightest < DARK else SURE):
         return None
-    around = (
-        (np.abs(place.across) < REACH[0]) & (place.below > 0.0) & (place.below < REACH[1]) & (place.on_skin | place.on_neck)
-    )
+    around = _within(place.across, (-REACH[0], REACH[0])) & _within(place.below, (0.0, REACH[1]))
+    around &= place.on_skin | place.on_neck
     of_right = np.clip(0.5 + place.across / (CHIN[0][1] - CHIN[0][0]), 0.0, 1.0)
     relative = light / (cheeks[0] * (1.0 - of_right) + cheeks[1] * of_right)
     dark = np.clip((LIGHT[1] - relative) / (LIGHT[1] - LIGHT[0]), 0.0, 1.0) * np.clip(TRUSTED * share, 0.0, 1.0)

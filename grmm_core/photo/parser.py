@@ -34,7 +34,9 @@ LEAST_GLASSES, LEAST_THING = 0.008, 0.006  # of the person's pixels; smaller fin
 BRIDGE_HEIGHT, BRIDGE, BRIDGED, BROW_HEIGHT = 0.4, (0.3, 0.7), 0.5, 0.2  # the last: brows above eyes, likewise
 # metres beside the middle of the lips and above them, and the share there of a moustache; upper lips without have up to 0.34
 UPPER_LIP, LEAST_MOUSTACHE = ((-0.016, 0.016), (0.003, 0.012)), 0.5
-LEAST_HAT = 0.15  # of hat and hair together; a smaller part is hair in another light
+# of hat and hair together, where a smaller part is hair in another light; of the picture, where hats have 0.046 and more and
+# short black hair 0.012
+LEAST_HAT, SMALL_HAT = 0.15, 0.02
 AROUND_EYES = 4  # of the network's pixels, within which eyes, brows and mouth are not asked whether they are hair
 # of the face: larger pieces of skin that hair parts from eyes and mouth are skin; more hair than one part in so many parts them
 MOST_APART, PASSED = 0.12, 3.0
@@ -261,7 +263,7 @@ def _believed(shares: Tensor, mesh: np.ndarray, picture: Tensor) -> Tensor:
     kept = torch.ones(len(LABELS))
     kept[glasses] = float(seen[glasses] > LEAST_GLASSES * person and bridged(shares[0, glasses].numpy(), mesh))
     kept[other] = float(seen[other] > LEAST_THING * person)
-    kept[hat] = float(seen[hat] > LEAST_HAT * (seen[hat] + seen[hair]))
+    kept[hat] = float(seen[hat] > max(LEAST_HAT * float(seen[hat] + seen[hair]), SMALL_HAT * shares[0, 0].numel()))
     shares = _beard(shares, mesh, srgb_to_linear(picture.numpy()).mean(0)) * kept[:, None, None] + 1e-6
     return shares / shares.sum(1, keepdim=True)
 

@@ -1,6 +1,7 @@
 """Lipstick, eye shadow, lid lines, darkened brows and dark corners of the mouth, which people in photos have.
 
 Those of the package have none of them: a network that never saw the dark beside teeth took their ends for the mouth's corners.
+Painted on finished pictures, so that each is made up anew whenever it is learned from (`photo_parser.props` does so on meshes).
 """
 
 from __future__ import annotations
@@ -8,15 +9,17 @@ from __future__ import annotations
 import numpy as np
 from PIL import Image, ImageDraw, ImageFilter
 
+from grmm_core.photo.lenses import BROWS as OUTLINES
+from grmm_core.photo.lenses import EYES
+
 from ..photo_parser.drawn import Generator
 
 LIPS, SHADOW, LINE, BROWS, CORNERS = 0.3, 0.25, 0.35, 0.25, 0.4  # shares of pictures
 FINER = 2  # pixels of a mask for one of the picture, each way
 _OUTER_LIPS = 61, 185, 40, 39, 37, 0, 267, 269, 270, 409, 291, 375, 321, 405, 314, 17, 84, 181, 91, 146
 _INNER_LIPS = 78, 191, 80, 81, 82, 13, 312, 311, 310, 415, 308, 324, 318, 402, 317, 14, 87, 178, 88, 95
-_LIDS = (33, 246, 161, 160, 159, 158, 157, 173, 133), (263, 466, 388, 387, 386, 385, 384, 398, 362)
-_UNDER_BROWS = (46, 53, 52, 65, 55), (276, 283, 282, 295, 285)
-_OVER_BROWS = (70, 63, 105, 66, 107), (300, 293, 334, 296, 336)
+_LIDS = tuple(outline[:9] for outline in EYES)
+_UNDER_BROWS = tuple(outline[:4:-1] for outline in OUTLINES)
 
 
 def made_up(picture: np.ndarray, points: np.ndarray, g: Generator) -> np.ndarray:
@@ -49,9 +52,7 @@ def made_up(picture: np.ndarray, points: np.ndarray, g: Generator) -> np.ndarray
             picture, np.full(3, 0.05), g.uniform(0.3, 0.95), 0.7, lines=[points[list(lid)] for lid in _LIDS], width=width
         )
     if g.random() < BROWS:
-        rows = [
-            np.concatenate([points[list(a)], points[list(b)][::-1]]) for a, b in zip(_OVER_BROWS, _UNDER_BROWS, strict=True)
-        ]
+        rows = [points[list(outline)] for outline in OUTLINES]
         picture = _tinted(picture, g.uniform(0.05, 0.25) * np.ones(3), g.uniform(0.2, 0.8), 2.0, rows)
     return picture
 

@@ -45,6 +45,7 @@ LOWEST, MIDDLE, UNEVEN = 0.05, 0.03, 0.006
 # of them ends lower; how uneven it is, and how much lower in front; its height at least, since a bust's back goes outwards
 # there, on which hair lies as a shelf; and how long is what has its root below it: metres
 SIDES, REACHING, BEHIND, HEM = (0.03, 0.085), 0.05, -0.03, 0.25
+OVER_BACK = 0.35  # metres of hair that lies on the back down to the bust's rim, where it ends
 RAGGED, TAPERED, BACK, DOWN = 0.007, 0.05, -0.106, 0.004
 COMPANY, ALONE = 5, 1.7  # so many places of other strands are as far off at most, as a share of what is usual in the style
 SIDEBURN = (0.022, 0.052)  # metres: height of roots before the ears below which curls are short, and above which they are not
@@ -74,7 +75,7 @@ def finished(groom: Groom, vertices: np.ndarray, head: HeadModel, name: str) -> 
         strands = _level(strands, vertices, head)
     if style.comb == "swept":
         strands = _trimmed(strands)
-    if style.comb in ("parted", "fringe") and not style.rope:
+    if style.comb in ("parted", "fringe") and not style.rope and style.length < OVER_BACK:
         strands = _hemmed(strands)
     if not style.curl:
         strands = _combed(strands, straight=not coils)

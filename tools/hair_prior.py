@@ -35,13 +35,15 @@ from grmm_studio.mesh import RenderMesh
 from grmm_studio.styles import STYLES
 from grmm_studio.subjects import Subject
 
+from .groom_finish import OVER_BACK
 from .grooms import average_person
 
 GROOMS = 320
 SHARE = 0.07  # of a style's strands that are grown
 GUIDES = 700
 COMPONENTS = 36
-STYLES_LEARNED = tuple(name for name in STYLES if name not in KNOTS)  # what hangs from a knot grows nowhere else
+# what hangs from a knot grows nowhere else, and what lies on the back no further than the bust goes
+STYLES_LEARNED = tuple(name for name, style in STYLES.items() if name not in KNOTS and style.length < OVER_BACK)
 HELD_OUT = 10  # each tenth
 
 

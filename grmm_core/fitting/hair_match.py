@@ -14,6 +14,7 @@ import numpy as np
 import torch
 
 from ..compute.recent import Recent
+from ..geometry.camera import Camera
 from ..geometry.zbuffer import EMPTY, triangle_depth
 from ..hair.coloring import HairView, around_head, hiding_faces, reduced
 from ..hair.groom import Groom
@@ -42,6 +43,9 @@ FINER = (0.9, 1.0, 1.1)  # factors of the second round
 BENT, UNBENT = 4, 0.5  # grooms that are bent to the photos, and weight of the score that they had before
 LIKELY_BENT = 0.8  # of the best such score: with less, long hair cut short would be bent to any short hair
 SHY = 0.4  # of the score for each metre from roots to tips: what a photo cannot show, as before the forehead, is short
+# of the score for each metre by which hair behind ends more than so much higher than hair is seen to reach: where that is, the
+# share of the hair that is lower, and the lowest height that counts, since what is below a bust's rim is not drawn
+SHORTER, HIGHER, LOWEST, DEEPEST, RIM = 1.5, 0.05, 0.04, -0.2, -0.16
 INSIDE = 1.5  # weight of pixels on the bald head more than beside it: a fringe is small, and seen first
 BALD, BALD_HATTED = 0.012, 0.003  # of the head's pixels: less hair is none
 HATTED = 0.5  # of the scalp's pixels: if more are hidden, the person wears a hat
@@ -223,6 +227,7 @@ class Stage:
         self.coily = coiliness(view.image, view.hair * view.counts, bald & (view.hair < HARDLY) & (view.counts > 0.5))
         self.wavy = waviness(view.image, view.hair * view.counts, Eye.of(view.camera).pixels_per_metre())
         self.hidden = float((1.0 - self.counts)[scalp].mean()) if scalp.any() else 0.0
+        self.low = _lowest(self.camera, self.hair * self.counts)
 
     def drawn(self, points: np.ndarray, radii: np.ndarray) -> tuple[np.ndarray, Directions]:
         """Cover [H, W] and directions of strands [N, K, 3]."""
@@ -245,6 +250,18 @@ class Stage:
         return picture.alpha, Directions(picture.features[..., 0], picture.features[..., 1])
 
 
+def _lowest(camera: Camera, hair: np.ndarray) -> float:
+    """Height in head space, metres, that hair [H, W] reaches down to, as if it hung beside the head's middle."""
+    rows, columns = np.nonzero(hair > 0.5)
+    if not len(rows):
+        return 0.0
+    middle = camera.world_to_camera[:3, 3]
+    depth = float(middle[2])
+    at = np.stack([(columns + 0.5 - camera.cx) / camera.fx, (rows + 0.5 - camera.cy) / camera.fy, np.ones(len(rows))], 1)
+    heights = (at * depth - middle) @ camera.world_to_camera[:3, 1]
+    return float(np.quantile(heights, LOWEST))
+
+
 def _enlarged(mask: np.ndarray, size: tuple[int, ...]) -> np.ndarray:
     """The nearest pixel's value at another size, [H, W]."""
     rows, columns = (np.arange(new) * old // new for new, old in zip(size, mask.shape, strict=True))
@@ -257,8 +274,13 @@ def _judged(stages: Sequence[Stage], candidate: Candidate, length: float, field:
     agreement = _agreement(stages, course, field)
     coily = [stage.coily for stage in stages if stage.coily is not None]
     straight = COILY * (1.0 - candidate.coils) * float(np.mean(coily)) if coily else 0.0
-    reach = float(np.linalg.norm(course.rest[:, -1] - course.rest[:, 0], axis=1).mean())
-    score = agreement - SHY * reach - straight - _waves_apart(candidate.waves, stages)
+    rest = course.rest if field is None else course.rest + offsets(field, course.rest)
+    ends = rest[:, -1] + np.maximum(RIM - rest[:, -1], 0.0) * (0.0, 1.0, 0.0)
+    reach = float(np.linalg.norm(ends - rest[:, 0], axis=1).mean())
+    behind = rest[:, 0, 2] < 0.0
+    low = max(min(stage.low for stage in stages), DEEPEST) + HIGHER
+    short = max(float(np.median(rest[behind, -1, 1])) - low, 0.0) if behind.any() else 0.0
+    score = agreement - SHY * reach - SHORTER * short - straight - _waves_apart(candidate.waves, stages)
     return Match(candidate.name, candidate.flipped, length, score, field, agreement, candidate.waves)
 
 

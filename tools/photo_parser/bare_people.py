@@ -68,6 +68,11 @@ class Light:
         if g.random() < 0.2:  # from above, as the sun at noon: the chin throws its shadow
             towards = unit(to_eye * g.uniform(0.1, 0.7) + g.normal(0, 0.25, 3) + [0, 1, 0])[None]
             return Light(towards, np.full((1, 3), g.uniform(0.6, 1.4)), g.random(1) < 0.4, ambient * 0.7, tilt, False, False)
+        if g.random() < 0.12:  # a stage: two colors from two sides
+            left = unit(np.cross(to_eye, [0.0, 1.0, 0.0])) * g.choice([-1, 1])
+            towards = unit(np.stack([left, -left]) + to_eye * g.uniform(-0.2, 1.0, (2, 1)) + g.normal(0, 0.5, (2, 3)))
+            colors = np.exp(g.normal(0, 0.8, (2, 3))) * g.uniform(0.4, 1.2, (2, 1))
+            return Light(towards, colors, g.random(2) < 0.3, ambient * g.uniform(0.2, 1.0), tilt, False, False)
         count = int(g.integers(1, 4))
         towards = unit(g.normal(0, 1, (count, 3)) + (to_eye * -1.3 if backlit else to_eye * 0.9) + [0, 0.5, 0])
         colors = np.exp(g.normal(0, 0.15, (count, 3))) * g.uniform(0.2, 1.2, (count, 1))

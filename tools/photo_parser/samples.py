@@ -28,13 +28,16 @@ from grmm_core.splat.api import rasterize_arrays
 from grmm_core.splat.types import GaussianArrays
 
 from .bare_people import People, Posed
-from .drawn import Drawn, Generator, noise, smooth, unit
+from .drawn import Drawn, Generator, noise, smooth, unit, unprojected
+from .long_hair import long_hair
 from .props import Hat, dress, glasses, leaves, make_up, occluder, shade_throat
 from .surroundings import background, blurred, lit
 
 IGNORED = 255  # label of pixels beyond the photo's edge
 DETAIL = {SCALP: 0.5, BROWS: 1.0, BEARD: 0.7, LASHES: 1.0}  # share of the strands of grooms that are drawn
 BEARDED = 0.4  # of the people
+LONG = 0.45  # of the grooms: longer than those of the package, before the shoulders on most
+BEFORE, BODY = 0.11, -0.11  # metres: as far behind clothes and chest hair before them may be, and height below which these are
 OFTEN = ["stubble", "stubble", "full", "full"]  # beards beside one of each kind
 VISIBLE = 0.2  # of the skin's color that a beard or brow must change to be seen: shade under a chin is none
 NAMES = list(MESH_PARTS)
@@ -54,7 +57,7 @@ class Maker:
 
     def __init__(self, head: HeadModel, held_out: bool) -> None:
         self.head, self._people = head, People(head, held_out)
-        self._grooms: list[tuple[StrandBlock, ...]] = []
+        self._grooms: list[tuple[tuple[StrandBlock, ...], bool]] = []
         self._last: Posed | None = None
 
     def refresh(self, g: Generator, people: int, grooms: int) -> None:
@@ -62,13 +65,14 @@ class Maker:
         self._people.exchange(g, people)
         self._grooms = []
         for _ in range(grooms):
-            parts: list[StrandBlock] = []
+            long = g.random() < LONG
+            parts = blocks_of(long_hair(self.head, g, DETAIL[SCALP]), self.head.v_template, self.head.faces) if long else ()
             for group, name in enumerate(GROUPS):
-                if group != BEARD or g.random() < BEARDED:
+                if not (long and group == SCALP) and (group != BEARD or g.random() < BEARDED):
                     names = list(groom_names(name)) + (OFTEN if group == BEARD else [])
                     groom = library_groom(names[int(g.integers(len(names)))], part=name).level(DETAIL[group])
                     parts += blocks_of(groom, self.head.v_template, self.head.faces)
-            self._grooms.append(tuple(parts))
+            self._grooms.append((parts, long))
 
     def make(self, g: Generator) -> Sample:
         """Draw a picture."""
@@ -80,14 +84,19 @@ class Maker:
             make_up(drawn, posed.vertices, self.head, g)
         if g.random() < 0.35:
             shade_throat(drawn, g)
-        blocks = self._grooms[int(g.integers(len(self._grooms)))]
+        blocks, long = self._grooms[int(g.integers(len(self._grooms)))]
         settings = drawn_settings(g)
+        if long:
+            settings = settings.changed(length=float(g.uniform(0.75, 1.2)), curl=0.5 * settings.curl)
         beard = _beard_settings(settings, g)
         hair = _hair_color(settings)
         bald = g.random() < 0.07
         _paint_scalp(drawn, found, skin, None if bald or g.random() < 0.05 else hair, g.uniform(0.35, 0.95))
         hat = Hat(g) if g.random() < 0.4 else None
         hiding = dress(drawn, self.head, posed.vertices, g, skin, hair)
+        if long and g.random() < 0.75:
+            low = unprojected(hiding, drawn.camera)[..., 1] < BODY
+            hiding = np.where(low, hiding + BEFORE, hiding)
         self._hair(drawn, posed.vertices, blocks, {SCALP: settings, BEARD: beard}, hat, bald, hiding)
         if g.random() < 0.28:
             glasses(drawn, self.head, posed.vertices, g)

@@ -75,6 +75,19 @@ def test_long_hair_is_not_bent_to_short_hair(monkeypatch):
     assert [match.name for match in matches] == ["crop"]
 
 
+def test_hair_that_is_seen_to_hang_low_on_one_side_is_not_short_behind(monkeypatch):
+    """What lies behind a shoulder is not seen: long hair cut to the jaw and bent covered the rest as well."""
+    head, shown = load_open_head(), photo(library_groom("long"), HairSettings(melanin=0.6), 15.0)
+    monkeypatch.setattr(hair_match, "groom_names", lambda: ("bob", "long"))
+    column, row = shown.camera.project(np.zeros((1, 3)))[1][0].astype(int)
+    hair = shown.hair.copy()
+    hair[row:, column:] = 0.0
+    match, *_ = best_grooms([replace(shown, hair=hair)], head)
+    assert match.name == "long"
+    assert match.length >= 0.8
+    assert hair_match._lowest(shown.camera, shown.hair) == pytest.approx(-0.147, abs=0.01), "metres below the head's middle"
+
+
 def test_long_hair_below_a_hat_is_long(monkeypatch):
     head, shown = load_open_head(), photo(library_groom("long"), HairSettings(melanin=0.6), 10.0)
     monkeypatch.setattr(hair_match, "LONG_UNDER_HATS", ("bob", "long"))

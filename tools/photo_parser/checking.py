@@ -47,7 +47,10 @@ def compare(photos: list[Path], drawn: Path, tracks: Path, head: HeadModel, shee
         track = _tracked(by_hash[digest], int(face), tracks, head)
         parts = parse(track, head)
         wanted = painted(polygons, track)
-        result[f"{by_hash[digest].name}#{face}"] = overlaps(parts, wanted, track.valid > 0.5)
+        named = {group for group, _ in polygons}
+        shares = overlaps(parts, wanted, track.valid > 0.5)
+        known = named | ({"background"} if "face" in named else set())  # else the rest of the picture is not drawn
+        result[f"{by_hash[digest].name}#{face}"] = {group: share for group, share in shares.items() if group in known}
         labels = np.stack([getattr(parts, label) for label in LABELS]).argmax(0)
         reference = np.array([LABELS.index(members[0]) for members in GROUPS.values()])[wanted]
         rows.append(np.concatenate([(track.image * 255).astype(np.uint8), COLORS[labels], COLORS[reference]], 1)[::2, ::2])

@@ -1,4 +1,4 @@
-"""Long hair of a head that turns: out of the shoulders, as long as before, a function of the pose that does not jump."""
+"""Long hair of a head that turns: it hangs, out of the shoulders, as long as before, a function of the pose, without jumps."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import pytest
 
 from grmm_core.hair import library_groom
 from grmm_core.hair.body import Body, worn
+from grmm_core.hair.contact import rigid_motion
 from grmm_core.hair.pigment import locks_of
 from grmm_core.hair.roots import SCALP
 from grmm_core.hair.shoulders import Shoulders
@@ -70,10 +71,41 @@ def test_an_upright_head_and_short_hair_are_left_alone(long, head):
     assert Worn(head, "crop").shoulders == ()
 
 
-def test_nothing_jumps_while_a_head_turns(long):
+def leaning(strands: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Degrees between the last quarter of some strands and the vertical, [M]."""
+    way = strands[rows, -1] - strands[rows, -1 - strands.shape[1] // 4]
+    return np.degrees(np.arccos((-way[:, 1] / np.linalg.norm(way, axis=1)).clip(-1.0, 1.0)))
+
+
+@pytest.mark.parametrize("turn", [{"nod": 0.3}, {"nod": -0.3}, {"tilt": 0.35}, {"nod": 0.2, "yaw": 0.4, "tilt": -0.2}])
+def test_long_hair_of_a_tilted_head_hangs_down(long, turn):
+    rest, vertices = long.followed(long.posed()), long.posed(**turn)
+    before = long.followed(vertices)
+    after = long.shoulders[0].left(vertices, before)
+    in_air = Body.of(long.head, vertices, below=-0.02).heights(after[:, -1])[0] > 0.01
+    rows = np.flatnonzero(in_air & (rest[:, -1, 1] < -0.09))
+    assert len(rows) > 20
+    upright, leant, hanging = (float(np.median(leaning(strands, rows))) for strands in (rest, before, after))
+    assert leant > upright + 6.0, "it followed the head"
+    assert abs(hanging - upright) < 4.0
+
+
+def test_a_person_who_lies_down_wears_hair_alike(long):
+    """The root turns bust and head: hair goes with both, however the neck is turned."""
+    pose = np.zeros((5, 3))
+    pose[0, 2], pose[1, 2] = 1.2, 0.3
+    lying = np.asarray(long.head.vertices(np.zeros(300), np.zeros(1), pose), float)
+    sitting = long.posed(tilt=0.3)
+    turn, shift = rigid_motion(lying, sitting)
+    there, here = (long.shoulders[0].left(vertices, long.followed(vertices)) for vertices in (lying, sitting))
+    np.testing.assert_allclose(there @ turn.T + shift, here, atol=2e-3)  # a strand that a millimetre decides about
+
+
+@pytest.mark.parametrize("turn", ["yaw", "nod", "tilt"])
+def test_nothing_jumps_while_a_head_turns(long, turn):
     moves = []
-    for yaw in np.linspace(0.0, 0.5, 26):
-        vertices = long.posed(yaw=yaw)
+    for angle in np.linspace(0.0, 0.5, 26):
+        vertices = long.posed(**{turn: angle})
         followed = long.followed(vertices)
         moves.append(long.shoulders[0].left(vertices, followed) - followed)
     steps = np.abs(np.diff(moves, axis=0)).max((1, 2, 3))

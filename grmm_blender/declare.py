@@ -32,8 +32,8 @@ def text(name: str, description: str, **options: Any) -> Any:
     return StringProperty(name=name, description=description, **options)
 
 
-def choice(name: str, description: str, *items: tuple[str, str, str], **options: Any) -> Any:
-    """One of several, each with identifier, name and description; the first one at first."""
+def choice(name: str, description: str, *items: tuple[Any, ...], **options: Any) -> Any:
+    """One of several, each with identifier, name and description, perhaps icon and number; the first one at first."""
     return EnumProperty(name=name, description=description, items=items, **options)
 
 

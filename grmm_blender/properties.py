@@ -14,7 +14,7 @@ from ..grmm_core.hair import SETTINGS
 from ..grmm_core.session.values import MAX_WRINKLES
 from .declare import choice, flag, number, text, whole
 from .hair import grooms
-from .hair.grooms import HAIR_ITEMS, OWN_HAIR, PART_ITEMS, label_of
+from .hair.grooms import HAIR_ITEMS, OWN_HAIR, PART_ITEMS, label_of, numbered
 from .rig.avatar import Avatar, is_avatar
 from .rig.build import add_missing_controls, show_source
 from .rig.identity import DEFAULT_SOURCE
@@ -80,7 +80,7 @@ def wear(hair: bpy.types.PropertyGroup, groom: str) -> None:
 class GRMM_PG_hair(bpy.types.PropertyGroup):
     """What hair an avatar wears: a groom, or curves; besides one number for each of the core's `SETTINGS`."""
 
-    groom: choice("Hair", "What hair the avatar wears", *HAIR_ITEMS, **_LIVE)
+    groom: choice("Hair", "What hair the avatar wears", *numbered(HAIR_ITEMS), **_LIVE)
     picked: bpy.props.EnumProperty(
         name="Hair",
         description="What hair the avatar wears, in the place of curves as well",
@@ -98,7 +98,8 @@ class GRMM_PG_hair(bpy.types.PropertyGroup):
     )
     seed: whole("Seed", "Number of the hair at random", min=0, max=999_999_999, **_LIVE)
     __annotations__ |= {
-        part: choice(label_of(part), f"What {part} the avatar wears", *items, **_LIVE) for part, items in PART_ITEMS.items()
+        part: choice(label_of(part), f"What {part} the avatar wears", *numbered(items), **_LIVE)
+        for part, items in PART_ITEMS.items()
     }
     swing: flag("Swing", "Long hair lags behind the moving head and swings, as it was baked", **_LIVE)
     swing_file: text(

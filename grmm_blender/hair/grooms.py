@@ -10,6 +10,7 @@ from ...grmm_core.hair.packaged import PICTURE_SUFFIX, groom_folder
 
 OWN_HAIR, NO_HAIR, RANDOM_HAIR = "OWN", "NONE", "RANDOM"  # besides the names of grooms
 PARTS = ("brows", "beard", "lashes")  # chosen beside the hair
+LATER = ("chest_length", "chest_waves")  # grooms that came when files had been saved, in this order; new ones go to the end
 
 
 def label_of(name: str) -> str:
@@ -31,6 +32,15 @@ PART_ITEMS = {
     )
     for part in PARTS
 }
+
+
+def numbered(items: tuple[tuple[str, str, str], ...]) -> tuple[tuple[str, str, str, str, int], ...]:
+    """Items with the numbers that files and keys hold, which do not change when grooms are added."""
+    names = [name for name, *_ in items]
+    order = [*(name for name in names if name not in LATER), *(name for name in LATER if name in names)]
+    return tuple((*item, "NONE", order.index(item[0])) for item in items)
+
+
 _pictures: bpy.utils.previews.ImagePreviewCollection | None = None
 
 

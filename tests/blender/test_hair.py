@@ -155,6 +155,9 @@ def test_hair_is_swapped_by_one_click(hair_script):
     assert found["pictures"] == found["grooms"] + 1
     assert found["bytes"] < 300_000
     assert found["items"] == ["OWN", "NONE", "afro"]
+    saved = {"OWN": 0, "NONE": 1, "afro": 2, "bob": 3, "buzz": 6, "coily": 7, "wavy_long": 26, "RANDOM": 27, "chest_waves": 29}
+    assert saved.items() <= found["numbers"].items(), "files hold these numbers"
+    assert sorted(found["numbers"].values()) == list(range(len(found["numbers"])))
     assert found["wore"] == ["afro", "bob", "bob"]
     assert found["curves_gone"]
     assert found["still_there"]

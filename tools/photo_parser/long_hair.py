@@ -14,8 +14,8 @@ from grmm_core.head import HeadModel
 
 from .drawn import Generator, smooth, unit
 
-FALLING = ("bob", "layered", "long", "long", "ringlets", "wavy_long", "wavy_long")
-POINTS, FINER = 14, 34  # of a strand of the groom, and of one that hangs on
+FALLING = ("bob", "braids", "curly", "layered", "locs", "long", "long", "ringlets", "ringlets", "wavy_long", "wavy_long")
+POINTS, FINER = 14, 44  # of a strand of the groom, and of one that hangs on
 CHIN = -0.06  # metres: strands that end higher do not hang on
 LOCKS = 0.022  # metres of the scalp whose strands wave and end together
 HANGING = 0.07  # metres on which a strand turns downwards
@@ -67,9 +67,12 @@ def _wide(points: np.ndarray, g: Generator) -> np.ndarray:
 
 def _waving(points: np.ndarray, own: np.ndarray, g: Generator) -> np.ndarray:
     """Strands [N, K, 3] in waves that those of a lock have in common."""
-    if g.random() < 0.35:
+    kind = g.random()
+    if kind < 0.3:
         return points
     size, length, loose = g.uniform(0.003, 0.018), g.uniform(0.05, 0.16), g.uniform(0.05, 0.5)
+    if kind > 0.7:  # curls
+        size, length, loose = g.uniform(0.004, 0.012), g.uniform(0.022, 0.05), g.uniform(0.1, 0.8)
     angle = 2.0 * np.pi * points[..., 1] / length + 1.2 * own[:, 3:4] + loose * g.normal(0.0, 1.0, (len(points), 1))
     x = np.sin(angle) * (1.0 + 0.3 * own[:, 4:5])
     return points + size * smooth(-0.05, 0.06, -points[..., 1])[..., None] * np.stack(

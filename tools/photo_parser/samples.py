@@ -87,7 +87,7 @@ class Maker:
         blocks, long = self._grooms[int(g.integers(len(self._grooms)))]
         settings = drawn_settings(g)
         if long:
-            settings = settings.changed(length=float(g.uniform(0.75, 1.2)), curl=0.5 * settings.curl)
+            settings = settings.changed(length=float(g.uniform(0.75, 1.2)), curl=settings.curl * float(g.random()))
         beard = _beard_settings(settings, g)
         hair = _hair_color(settings)
         bald = g.random() < 0.07

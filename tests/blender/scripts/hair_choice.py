@@ -106,6 +106,7 @@ report(
     grooms=len(names),
     bytes=sum(path.stat().st_size for path in pictures),
     items=[name for name, *_ in grooms.HAIR_ITEMS][:3],
+    numbers={item.identifier: item.value for item in hair.bl_rna.properties["groom"].enum_items},
     wore=wore,
     curves_gone=gone,
     still_there=curves.name in scene.objects,

@@ -198,6 +198,28 @@ def test_what_would_take_both_eyes_and_the_mouth_by_its_color_is_no_thing(painte
     assert np.all((found > 0.5) == is_thing), found
 
 
+@pytest.mark.slow
+def test_long_hair_before_clothes_is_hair(head, monkeypatch):
+    """What falls on the chest was cloth and what stands off beside the neck background, and avatars' hair ended at the jaw."""
+    samples = pytest.importorskip("tools.photo_parser.samples")
+    monkeypatch.setattr(samples, "LONG", 1.0)
+    g = np.random.default_rng(5)
+    maker = samples.Maker(head, held_out=True)
+    maker.refresh(g, 3, 4)
+    made = [maker.make(g) for _ in range(16)]
+    pictures, meshes = (
+        torch.from_numpy(np.stack([getattr(one, name) for one in made])).float() for name in ("picture", "mesh")
+    )
+    with torch.no_grad():
+        found = parser.load_parser(parser.INPUTS, len(LABELS))(parser.network_input(pictures / 255, meshes)).argmax(1).numpy()
+    labels = np.stack([one.labels for one in made])
+    low = (labels != samples.IGNORED) & (np.arange(parser.SIZE)[:, None] > 0.62 * parser.SIZE)
+    truth, seen = (low & (part == LABELS.index("hair")) for part in (labels, found))
+    assert truth.sum() > 5000
+    assert (truth & seen).sum() > 0.65 * truth.sum()
+    assert (truth & seen).sum() > 0.8 * seen.sum()
+
+
 def test_what_is_left_out_is_said(tracks, head):
     said = left_out([tracks["admiral"], tracks["astronaut"]], head)
     assert any("The hat" in sentence and "admiral.jpg" in sentence for sentence in said)

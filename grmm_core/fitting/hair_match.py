@@ -50,7 +50,8 @@ INSIDE = 1.5  # weight of pixels on the bald head more than beside it: a fringe 
 BALD, BALD_HATTED = 0.012, 0.003  # of the head's pixels: less hair is none
 HATTED = 0.5  # of the scalp's pixels: if more are hidden, the person wears a hat
 UNDER_HATS = ("bob", "crop", "pixie")
-LONG_UNDER_HATS, LONG = ("bob", "chest_length", "chest_waves", "layered", "long", "ringlets", "wavy_long"), 0.25  # where so many of the head's pixels are hair
+LONG_UNDER_HATS = ("bob", "chest_length", "chest_waves", "layered", "long", "ringlets", "wavy_long")
+LONG = 0.25  # of the head's pixels: if more are hair below a hat, that is long
 OPACITY = 0.9  # of a strand
 ORIENTATION = 0.35  # weight of the agreement of directions beside that of cover
 # of the score that strands lose which are e times as wavy as in the photos, or as little, and up to how often e: straight ones

@@ -42,6 +42,9 @@ from .types import PhotoTrack
 SIDE = 512  # pixels: longer side of the picture around the head
 ROUNDS, RATE = 12, 1.5  # of the reconstruction, and how much of each of its steps is taken
 HAIR = 0.9  # of a pixel, from where on its color is hair's
+# of a pixel, from where on the parser is sure, and such colors tell which ones hair has: what it takes for hair far from the
+# head, as the wall beside a shoulder, would be bright ends of dark hair
+SURE, LEAST_SURE = 0.85, 0.2  # and of how many of the pixels at least
 LEAST_COVER = 0.3  # of a pixel by strands: with less the step is not made larger
 SURE_PIXELS = 0.4  # that a place of a strand shows in at which it is half believed
 FEW_PIXELS = 0.15  # likewise from where on it takes whole steps
@@ -76,6 +79,7 @@ class Photo(NamedTuple):
     Attributes:
         image: [H, W, 3].
         hair: How much of each pixel is hair, [H, W].
+        sure: How sure that is, [H, W].
         counts: See `HairView`.
         skin: The avatar without hair, [H, W, 3].
         strands: As the photo's camera sees them, in the colors of pigments, G Gaussians.
@@ -86,6 +90,7 @@ class Photo(NamedTuple):
 
     image: Tensor
     hair: Tensor
+    sure: Tensor
     counts: Tensor
     skin: Tensor
     strands: Gaussians
@@ -151,8 +156,11 @@ def _photo(
         reach = round(rim / scale)
         bare = torch.from_numpy(np.float32(1.0 - view.hair))[None]
         view = dataclasses.replace(view, hair=1.0 - widened(bare, reach)[0].numpy())
+    sure = parts.hair
     if (groom.groups == BROWS).any():
-        view = dataclasses.replace(view, hair=np.maximum(view.hair, brow_cover(track, parts, view, head)))
+        brows = brow_cover(track, parts, view, head)
+        view, sure = dataclasses.replace(view, hair=np.maximum(view.hair, brows)), np.maximum(sure, brows)
+    sure = around_head(dataclasses.replace(view, hair=sure)).hair
     view = around_head(view)
     height, width = (max(16, round(size * scale / 16) * 16) for size in view.hair.shape)  # the refinement network halves
     camera = view.camera.resized(width, height)
@@ -161,7 +169,7 @@ def _photo(
         drawn = model.render(camera, inputs, lit_later=True)
         vertices, still = (model.mesh(part).vertices.cpu().numpy() for part in (inputs, resting))
     image = np.stack([reduced(view.image[..., k], (height, width)) for k in range(3)], 2)
-    cover, counts = (torch.from_numpy(reduced(part, (height, width))) for part in (view.hair, view.counts))
+    cover, told, counts = (torch.from_numpy(reduced(part, (height, width))) for part in (view.hair, sure, view.counts))
     seen = []
     for group in np.unique(groom.groups):
         own = np.flatnonzero(groom.groups == group)
@@ -174,7 +182,7 @@ def _photo(
     way = camera.position - origin
     facing = (axes[:, 2] * way).sum(1) / np.linalg.norm(way, axis=1)
     skin = drawn.image.cpu()
-    return Photo(torch.from_numpy(image), cover, counts, skin, Gaussians(*strands), rows, places, camera, facing)
+    return Photo(torch.from_numpy(image), cover, told, counts, skin, Gaussians(*strands), rows, places, camera, facing)
 
 
 def trimmed(
@@ -225,7 +233,9 @@ def reconstructed(onto: Sequence[Onto], places: np.ndarray) -> tuple[np.ndarray,
     tints = torch.zeros(count * TINTS, 3)
     weight = sum((one.shown for one in onto), torch.zeros(count * TINTS))
     first = onto[0].photo
-    sample = first.image[first.hair > HAIR]
+    full = first.hair > HAIR
+    sure = full & (first.sure > SURE)
+    sample = first.image[sure if sure.sum() > LEAST_SURE * full.sum() else full]
     base = onto[0].mean(first.strands.colors)
     for _ in range(ROUNDS):
         step = sum((one.step(tints) for one in onto), torch.zeros_like(tints))

@@ -30,13 +30,16 @@ REACH = 0.2  # metres from the head's origin that are 1 in the channels of place
 EDGE_RADIUS, EDGE_EPSILON = 1.0 / 96.0, 4e-4  # of the guided filter: share of the side, squared intensity
 LEAST_GLASSES, LEAST_THING = 0.008, 0.006  # of the person's pixels; smaller finds are dark eyes, buttons, shadows
 # of the eyes' distance: how far above or below them glasses cross the nose, and where; the share that they then have there:
-# drawn sunglasses have 0.72 and more, made-up eyes 0.44 at most (frames of clear glasses are found by their outlines as well)
+# drawn sunglasses have 0.54 and more, bare eyes up to 0.42, but 0.56 made up in blue light (clear ones have outlines as well)
 BRIDGE_HEIGHT, BRIDGE, BRIDGED, BROW_HEIGHT = 0.4, (0.3, 0.7), 0.5, 0.2  # the last: brows above eyes, likewise
 # metres beside the middle of the lips and above them, and the share there of a moustache; upper lips without have up to 0.34
 UPPER_LIP, LEAST_MOUSTACHE = ((-0.016, 0.016), (0.003, 0.012)), 0.5
 # of hat and hair together, where a smaller part is hair in another light; of the picture, where hats have 0.046 and more and
 # short black hair 0.012
 LEAST_HAT, SMALL_HAT = 0.15, 0.02
+# parts of the mesh around which hair is surely the person's, so many of the network's pixels around; how much likelier a color
+# must be on skin than in that hair to be bare skin beyond
+ON_HEAD, BESIDE_HEAD, BARE = ("eyes", "brows", "ears", "scalp", "skin"), 14, 4.0
 AROUND_EYES = 4  # of the network's pixels, within which eyes, brows and mouth are not asked whether they are hair
 # of the face: larger pieces of skin that hair parts from eyes and mouth are skin; more hair than one part in so many parts them
 MOST_APART, PASSED = 0.12, 3.0
@@ -139,6 +142,9 @@ def parse(track: Tracked, head: HeadModel) -> PhotoParts:
         divided = _by_color(sharp, pixels[0, :3], ("hat", "hair"), torch.ones_like(features))
         divided = _by_color(divided, pixels[0, :3], ("hair", "skin"), 1.0 - features)
         divided = _things(divided, pixels[0, :3], features)
+        head_alone = torch.from_numpy(mesh[[tuple(MESH_PARTS).index(name) for name in ON_HEAD]]).amax(0)[None]
+        near = functional.interpolate(widened(head_alone, BESIDE_HEAD)[None], pixels.shape[2:])[0, 0]
+        divided = _bare(divided, pixels[0, :3], near)
     return PhotoParts(*_enclosed(divided, eyes).numpy())
 
 
@@ -247,6 +253,26 @@ def _things(shares: Tensor, picture: Tensor, features: Tensor) -> Tensor:
     taken[other] += foreign * own
     taken[person] *= 1.0 - foreign
     return taken
+
+
+def _bare(shares: Tensor, picture: Tensor, near: Tensor) -> Tensor:
+    """Give what is far from the head and has the colors of the person's skin rather than those of the hair to the neck: arms.
+
+    Args:
+        shares: Of the labels, [L, H, W].
+        picture: [3, H, W].
+        near: 1 on the head and beside it, [H, W]; hair there tells the colors of hair.
+    """
+    hair, skin, neck = (LABELS.index(name) for name in ("hair", "skin", "neck"))
+    own, bare = shares[hair], shares[skin] + shares[neck]
+    likely = [_likelihood(picture, part) for part in (own * (own > SURE) * near, bare * (bare > SURE))]
+    if likely[0] is None or likely[1] is None:
+        return shares
+    foreign = (likely[1] > BARE * likely[0])[None, None].float()
+    other = functional.avg_pool2d(foreign, 9, 1, 4, count_include_pad=False)[0, 0].round() * (1.0 - near)
+    given = shares.clone()
+    given[hair], given[neck] = own * (1.0 - other), shares[neck] + own * other
+    return given
 
 
 def _believed(shares: Tensor, mesh: np.ndarray, picture: Tensor) -> Tensor:

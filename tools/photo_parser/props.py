@@ -17,6 +17,7 @@ TORSO = np.array([
     (-0.185, 0.185, 0.096), (-0.215, 0.208, 0.106), (-0.27, 0.22, 0.118), (-0.40, 0.21, 0.125), (-0.70, 0.21, 0.125),
 ])  # fmt: skip
 MIDDLE = -0.018  # its depth
+BARE_FROM = -0.15  # metres: clothes that begin lower have no collar
 
 
 def body(head: HeadModel, vertices: np.ndarray, g: Generator, grown: float) -> np.ndarray:
@@ -49,6 +50,8 @@ def dress(drawn: Drawn, head: HeadModel, vertices: np.ndarray, g: Generator, ski
     cloth = Surface.of(body(head, vertices, np.random.default_rng(seed), g.uniform(0.003, 0.010)), drawn.camera)
     x, y, z = np.moveaxis(cloth.points, -1, 0)
     top = g.uniform(-0.135, -0.095) if g.random() < 0.5 else g.uniform(-0.105, -0.068)  # the others have collars
+    if g.random() < 0.25:  # bare shoulders
+        top = g.uniform(-0.25, -0.15)
     front = smooth(-0.02, 0.05, z)
     deep = g.choice([0.0, g.uniform(0.01, 0.06), g.uniform(0.05, 0.16)])
     cut = np.clip(1 - np.abs(x) / g.uniform(0.03, 0.10), 0, 1) ** g.uniform(0.3, 1.2)
@@ -66,7 +69,7 @@ def dress(drawn: Drawn, head: HeadModel, vertices: np.ndarray, g: Generator, ski
             color = np.where(tie[..., None], pattern(g, cloth.points * 2, skin, hair), color)
     drawn.lay(worn.astype(float), color, "clothes", cloth.normals, cloth.depth)
     kind = g.random()
-    if kind < 0.62:
+    if kind < 0.62 and top > BARE_FROM:
         angle = np.linspace(0, 2 * np.pi, 40, endpoint=False)
         gap = g.uniform(0.0, 0.9) if kind < 0.35 else 0.0  # a shirt's collar is open in front
         top, thick = g.uniform(-0.105, -0.07), g.uniform(0.002, 0.006)

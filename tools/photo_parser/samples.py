@@ -58,7 +58,7 @@ class Maker:
     def __init__(self, head: HeadModel, held_out: bool) -> None:
         self.head, self._people = head, People(head, held_out)
         self._grooms: list[tuple[tuple[StrandBlock, ...], bool]] = []
-        self._last: Posed | None = None
+        self._last: tuple[np.ndarray, np.ndarray] | None = None
 
     def refresh(self, g: Generator, people: int, grooms: int) -> None:
         """Take other people and grooms; making one ready takes a while, so that each serves for many pictures."""
@@ -77,7 +77,6 @@ class Maker:
     def make(self, g: Generator) -> Sample:
         """Draw a picture."""
         before, posed = self._last, self._people.posed(g)
-        self._last = posed
         drawn, limits = self._base(posed, g)
         skin, found = self._label(drawn, posed.vertices)
         if g.random() < 0.45:
@@ -109,9 +108,10 @@ class Maker:
             leaves(drawn, g, skin, hair, mouth)
         cover = drawn.cover.copy()
         image = lit(drawn, posed.light, g)
+        self._last = image * cover[..., None], cover
         ground = background(g, skin, hair) * (g.uniform(1.2, 3.0) if posed.light.backlit else np.exp(g.normal(0, 0.3)))
-        if before is not None and g.random() < 0.1:
-            ground = _passer_by(before, ground, g)
+        if before is not None and g.random() < 0.25:
+            ground = _neighbour(*before, ground, g)
         if g.random() < 0.5:
             ground = blurred(ground, g.uniform(0.5, 5.0))
         image = image * cover[..., None] + np.clip(ground, 0, 1.3) * (1 - cover[..., None])
@@ -272,14 +272,13 @@ class Maker:
         return Sample((picture.clip(0, 1) * 255).round().astype(np.uint8).transpose(2, 0, 1), mesh.astype(np.float16), labels)
 
 
-def _passer_by(posed: Posed, ground: np.ndarray, g: Generator) -> np.ndarray:
-    """Somebody else in the background."""
-    pixels = np.concatenate([posed.color * posed.cover[..., None], posed.cover[..., None]], -1)
-    planes = torch.from_numpy(pixels.astype(np.float32)).permute(2, 0, 1)[None]
-    small = functional.interpolate(planes, (SIZE, SIZE), mode="area")[0].permute(1, 2, 0).numpy()
-    shift = (int(g.integers(-20, 20)), int(g.choice([-1, 1])) * int(g.integers(35, 75)))
-    small = np.roll(small, shift, (0, 1))
-    return ground * (1 - small[..., 3:]) + small[..., :3] * np.exp(g.normal(0, 0.5))
+def _neighbour(image: np.ndarray, cover: np.ndarray, ground: np.ndarray, g: Generator) -> np.ndarray:
+    """Somebody else in the background, with hair and clothes: premultiplied [S, S, 3] and cover [S, S], moved aside."""
+    shift = (int(g.integers(-20, 20)), int(g.choice([-1, 1])) * int(g.integers(35, 85)))
+    moved, there = np.roll(image, shift, (0, 1)), np.roll(cover, shift, (0, 1))
+    if g.random() < 0.5:
+        moved, there = moved[:, ::-1], there[:, ::-1]
+    return ground * (1 - there[..., None]) + moved * np.exp(g.normal(0, 0.5))
 
 
 def drawn_settings(g: Generator) -> HairSettings:

@@ -143,7 +143,7 @@ def test_streaks_of_a_photo_are_found_and_fade_where_it_shows_nothing():
     image = shown.rgb + (1.0 - shown.alpha)[..., None] * skin
     rows, where = (torch.from_numpy(part) for part in worn.pieces(settings))
     seen = texture.Photo(
-        image, shown.alpha, torch.ones_like(shown.alpha), skin, plain, rows, where, camera, np.ones(len(groom))
+        image, shown.alpha, shown.alpha, torch.ones_like(shown.alpha), skin, plain, rows, where, camera, np.ones(len(groom))
     )
     found, known = texture.reconstructed([texture.Onto(seen, len(groom))], places)
     tints = texture.spread(places, found, known)
@@ -156,6 +156,31 @@ def test_streaks_of_a_photo_are_found_and_fade_where_it_shows_nothing():
     assert np.abs(tints[back]).mean() < 0.2 * np.abs(tints[known > 0.5]).mean()
     assert (known[back] < 0.1).mean() > 0.9
     assert np.isfinite(tints).all()
+
+
+def test_a_wall_that_is_perhaps_hair_gives_dark_hair_no_bright_ends():
+    """The parser takes walls beside shoulders for hair now and then, less surely than hair, whose colors tell what is hair."""
+    head = load_open_head()
+    groom, settings = library_groom("long"), HairSettings(melanin=0.9)
+    camera, vertices = Camera.orbit(256, 256, 0.0, 0.0), np.asarray(head.v_template, np.float64)
+    worn = WornHair(groom, settings, vertices, camera, head, vertices)
+    strands = Gaussians(*(torch.from_numpy(part) for part in worn.gaussians(settings)))
+    shown, low = rasterize(strands, camera), torch.zeros(256, 256)
+    low[int(camera.project(np.array([[0.0, -0.08, 0.0]]))[1][0, 1]) :] = 1.0
+    image = shown.rgb + (1.0 - shown.alpha)[..., None] * 0.5
+    image = torch.where((low > 0.0)[..., None], torch.tensor([0.9, 0.8, 0.4]), image)
+    rows, where = (torch.from_numpy(part) for part in worn.pieces(settings))
+    ends = []
+    for doubt in (0.0, 0.3):
+        seen = texture.Photo(
+            image, shown.alpha, shown.alpha - doubt * low, torch.ones_like(shown.alpha), torch.full_like(image, 0.5), strands,
+            rows, where, camera, np.ones(len(groom)),
+        )  # fmt: skip
+        places = texture.places_of(groom, head)
+        tints, known = texture.reconstructed([texture.Onto(seen, len(groom))], places)
+        ends.append(float(tints[(known > 0.5) & (places[..., 1] < -0.1)].mean()))
+    assert ends[0] > 0.15
+    assert ends[1] < 0.3 * ends[0]
 
 
 def test_colors_of_hair_are_even_along_strands():
@@ -178,7 +203,7 @@ class Pixels:
         self.pure = torch.ones_like(self.shown)
         nothing = torch.zeros(0, 3)
         strands = SimpleNamespace(colors=nothing)
-        self.photo = SimpleNamespace(image=nothing, hair=torch.zeros(0), strands=strands)
+        self.photo = SimpleNamespace(image=nothing, hair=torch.zeros(0), sure=torch.zeros(0), strands=strands)
 
     def mean(self, values: torch.Tensor) -> torch.Tensor:
         return torch.zeros_like(self.colors)

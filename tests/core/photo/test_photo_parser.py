@@ -198,6 +198,29 @@ def test_what_would_take_both_eyes_and_the_mouth_by_its_color_is_no_thing(painte
     assert np.all((found > 0.5) == is_thing), found
 
 
+def test_what_hangs_far_from_a_head_in_the_colors_of_skin_is_no_hair():
+    """Bare shoulders and arms, the person's or a neighbour's, beside long hair."""
+    side = 96
+    picture, shares, near = (
+        torch.full((3, side, side), 0.5),
+        torch.full((len(LABELS), side, side), 1e-6),
+        torch.zeros(side, side),
+    )
+    brown, bare = (torch.tensor(color)[:, None, None] for color in ([0.25, 0.16, 0.1], [0.8, 0.6, 0.5]))
+    areas = {"hair": (slice(0, 20), brown), "skin": (slice(20, 40), bare), "falls": (slice(60, 75), brown)}
+    areas["arm"] = slice(80, 95), bare
+    for name, (rows, color) in areas.items():
+        picture[:, rows] = color
+        shares[LABELS.index(name if name in LABELS else "hair"), rows] = 0.7 if name == "arm" else 0.9
+    near[:45] = 1.0
+    given = parser._bare(shares, picture, near)
+    hair, neck = (given[LABELS.index(name)] for name in ("hair", "neck"))
+    assert neck[82:93].min() > 0.6
+    assert hair[82:93].max() < 0.01
+    torch.testing.assert_close(given[:, :75], shares[:, :75])
+    torch.testing.assert_close(given.sum(0), shares.sum(0))
+
+
 @pytest.mark.slow
 def test_long_hair_before_clothes_is_hair(head, monkeypatch):
     """What falls on the chest was cloth and what stands off beside the neck background, and avatars' hair ended at the jaw."""

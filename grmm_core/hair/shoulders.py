@@ -21,7 +21,7 @@ ROOT_SHARE = 0.3  # of a vertex's skinning weights that the root joint has from 
 FIXED_SHARE = 0.6  # and from where on it neither turns with the head nor moves with the jaw
 STILL = 0.002  # metres that the fixed ones may move in the head's axes before it counts, as they do with a raised brow
 GIVES = 0.006  # metres that strands may sink in where it begins to count, so that nothing jumps
-HANGS = (0.02, -0.08)  # metres: heights at rest below which hair is no longer held by the head, and where it hangs freely
+HANGS = (0.005, -0.095)  # metres above the ears at rest: below that the head no longer holds hair, and where it hangs freely
 ROUNDS = 4
 TOUCHED, SHALLOW = 1e-5, 1e-3  # metres: moves beyond rounding, and up to where one round is enough
 
@@ -67,7 +67,9 @@ class Shoulders:
         lying = (LYING * lengths[rows] * (1.0 + 0.5 * lock[rows]))[:, None] * np.linspace(0, 1, FINE) ** 2
         steps = np.linalg.norm(np.diff(fine[:, ::2], axis=1), axis=2).astype(np.float32)
         clear = np.minimum(heights.reshape(fine.shape[:2]), CLEARANCE + lying)
-        share = ((HANGS[0] - fine[:, 1::2, 1]) / (HANGS[0] - HANGS[1])).clip(0.0, 1.0)
+        ears = rest[np.asarray(head.regions.get("ears", ()), int), 1]
+        heights = fine[:, 1::2, 1] - (ears.mean() if len(ears) else below)
+        share = ((HANGS[0] - heights) / (HANGS[0] - HANGS[1])).clip(0.0, 1.0)
         free = (share**2 * (3.0 - 2.0 * share)).astype(np.float32)
         return (Shoulders(head, rest, below, rows, clear.astype(np.float32), steps, free),)
 

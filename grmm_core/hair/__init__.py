@@ -26,7 +26,7 @@ The map:
     grids.py      values on cells, nearest points;  grid_kernels.py compiled
     ribbons.py    strands as Gaussians and their shading, readable; strand_kernels.py compiled; gradients.py for PyTorch
     drawing.py    all of it for one picture
-    contact.py    strands brought out of a skin that has moved;  shoulders.py   long hair of a head that turns
+    contact.py    strands brought out of a skin that has moved;  shoulders.py   long hair of a head that turns or bows
     swing.py      long hair that lags behind a moving head, and bakes of it; swing_kernel.py compiled
     mirror.py     the other way round;  coloring.py   pigments that look as in a picture, for captures and photos
 

@@ -33,6 +33,7 @@ from .engine.pipeline import hair_of
 from .hair.read import bound_strands
 from .rig.avatar import Avatar, avatar_of
 from .rig.identity import FLAME_PREFIX, load_head
+from .rig.mesh import gain_of
 from .scene.avatars import DrawnAvatar
 from .scene.clouds import clouds_in
 from .scene.shot import AvatarShot
@@ -198,7 +199,7 @@ def recorded_flame(avatar: Avatar, controls: list[Controls], frames: list[int], 
     """
     head = flame_head(avatar)
     if head is not None:
-        return record_expression(controls, (np.array(frames) - frames[0]) / fps, fps, head)
+        return record_expression(controls, (np.array(frames) - frames[0]) / fps, fps, head, gain_of(avatar.object, head))
     return to_expression(recorded(avatar, controls, frames, fps), load_flame(bpy.path.abspath(flame)))
 
 
@@ -291,9 +292,10 @@ def _head_mesh(
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Mesh of a head that no network draws, and its morph targets."""
     shape, offset = carried_person(avatar, head)
+    gain = gain_of(avatar.object, head)
 
     def posed(wanted: Controls) -> np.ndarray:
-        found = resolve(wanted, head)
+        found = resolve(wanted, head, gain)
         own = shape.copy()
         own[: wanted.shape.size] += wanted.shape
         return head.vertices(own, found.expression, found.pose, offset)

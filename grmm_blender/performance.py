@@ -28,6 +28,7 @@ from .rig.actions import ensure_bag, find_curve, linear_keys, put_aside, reduced
 from .rig.avatar import Avatar
 from .rig.custom_properties import property_path
 from .rig.identity import load_head
+from .rig.mesh import gain_of
 from .splats.cloud import resting_positions
 
 if TYPE_CHECKING:
@@ -148,7 +149,8 @@ def closed_lips(avatar: Avatar, prepared: Performance, performance: Performance,
     lips = _learned_lips(avatar, head)
     if lips is None:
         resting = resting_positions(avatar.object.data)
-        lips = lip_model(head, np.stack([resting[:, 0], resting[:, 2], -resting[:, 1]], -1))
+        gain = gain_of(avatar.object, head)
+        lips = lip_model(head, gain, np.stack([resting[:, 0], resting[:, 2], -resting[:, 1]], -1))
     return keep_lips_closed(prepared, prepare(performance, as_recorded), lips)
 
 
@@ -164,7 +166,7 @@ def _learned_lips(avatar: Avatar, head: HeadModel) -> LipModel | None:
             aligned[: len(ARKIT_NAMES)] = weights
             return session.deform(number, Controls(aligned=aligned)).vertices
 
-        return lip_model(head, posed=posed)
+        return lip_model(head, gain_of(avatar.object, head), posed=posed)
     except GrmmError:
         return None  # there is nothing to run the model: the mesh is the head model alone
 

@@ -75,7 +75,7 @@ class Lips:
 
     def __init__(self) -> None:
         rig = LandmarkRig(load_open_head())
-        self._person = rig.of_person(np.zeros(rig.shape_count), len(ARKIT_NAMES))
+        self._person = rig.of_person(np.zeros(rig.shape_count), np.ones(len(ARKIT_NAMES)))
 
     def __call__(self, weights: np.ndarray) -> np.ndarray:
         """Millimetres open, wide and forward, [T, 3]."""

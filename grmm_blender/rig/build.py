@@ -5,17 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 from ...grmm_core.avatar import AssetReference
 from ...grmm_core.controls.table import ARRAYS, CONTROLS, EXPRESSIONS, SLIDERS, Z_EXP, Z_ID
 from ...grmm_core.errors import FileFormatError, GrmmError
 from ...grmm_core.hair import SETTINGS
-from ...grmm_core.head import HeadModel
+from ...grmm_core.head import HeadModel, load_open_head
 from ..linking import link_beside
 from . import armature, drivers, live, mesh, repaint
 from .avatar import Avatar
 from .custom_properties import add_property
-from .identity import Identity, load_head, read_identity
+from .identity import OPEN_HEAD, Identity, load_head, read_identity
 
 MODIFIER_NAME = "Armature"
 
@@ -72,7 +73,8 @@ def add_missing_controls(avatar: Avatar) -> None:
     """Give a rig that an earlier version built the controls that have come since; what it has stays as it is."""
     obj = avatar.object
     missing = [control for control in (*EXPRESSIONS, *SLIDERS) if control.name not in obj]
-    if not missing or not obj.is_editable or live.limitation(avatar):
+    keyless = obj.grmm.head_name == OPEN_HEAD and not mesh.has_closing_keys(obj, load_open_head())
+    if not (missing or keyless) or not obj.is_editable or live.limitation(avatar):
         return
     try:
         head = load_head(AssetReference(obj.grmm.head_name))
@@ -80,9 +82,17 @@ def add_missing_controls(avatar: Avatar) -> None:
         return  # panels say what is wrong with it
     for control in missing:
         add_property(obj, control)
-    if any(control in EXPRESSIONS for control in missing):
-        mesh.add_recipe_keys(obj, head)
+    if keyless or any(control in EXPRESSIONS for control in missing):
+        mesh.add_recipe_keys(obj, head, _own_shape(avatar.source))
         drive_again(avatar, head)
+
+
+def _own_shape(source: str) -> np.ndarray:
+    """Shape coefficients of a source, [<=S]; none of one that cannot be read: the mean person's."""
+    try:
+        return read_identity(source).shape
+    except GrmmError:
+        return np.zeros(0, np.float32)
 
 
 def drive_again(avatar: Avatar, head: HeadModel) -> None:
@@ -121,6 +131,7 @@ def change_identity(avatar: Avatar, identity: Identity) -> None:
     if problem:
         raise FileFormatError(problem)
     mesh.rebase(obj, identity.vertices)
+    mesh.fit_recipe_keys(obj, head, identity.shape)
     mesh.add_materials(obj.data, identity)
     drivers.set_resting_pose(avatar.bones, identity.resting_pose)
     obj.grmm.known_path = known_path(avatar)

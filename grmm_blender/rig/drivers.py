@@ -37,7 +37,7 @@ def expression_inputs(head: HeadModel, obj: bpy.types.Object) -> tuple[list[list
     inputs = [[property_path(EXPRESSION, k)] for k in range(head.expression_count)]
     others: dict[str, np.ndarray] = {}
     for name, row in zip(EXPRESSION_NAMES, expression_rows(head), strict=True):
-        component = component_of(row)
+        component = component_of(name, row)
         if component is None:
             others[name] = row
         else:

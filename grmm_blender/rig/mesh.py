@@ -9,9 +9,10 @@ import bpy
 import numpy as np
 
 from ...grmm_core.controls.frame import EXPRESSIONS_TO_ARKIT
-from ...grmm_core.controls.names import EXPRESSION_NAMES
+from ...grmm_core.controls.names import ARKIT_NAMES, EXPRESSION_NAMES
 from ...grmm_core.controls.table import SHAPE
-from ...grmm_core.head import HeadModel
+from ...grmm_core.head import HeadModel, arkit_gain
+from ...grmm_core.head.closing import CLOSING
 from .identity import Identity
 from .materials import add_materials
 
@@ -33,15 +34,21 @@ def to_blender(points: np.ndarray) -> np.ndarray:
     return np.stack([points[..., 0], -points[..., 2], points[..., 1]], -1).astype(np.float32)
 
 
-def expression_rows(head: HeadModel) -> np.ndarray:
-    """Expression coefficients that each named expression stands for, [K, E]."""
-    return EXPRESSIONS_TO_ARKIT @ np.asarray(head.arkit_to_expression, np.float32)
+def expression_rows(head: HeadModel, gain: np.ndarray | None = None) -> np.ndarray:
+    """Expression coefficients that each named expression stands for, [K, E].
+
+    Args:
+        head: Head model.
+        gain: Of the person, [52], see `head.arkit_gain`; None: as sculpted.
+    """
+    rows = np.asarray(head.arkit_to_expression, np.float32)
+    return EXPRESSIONS_TO_ARKIT @ (rows if gain is None else gain[:, None] * rows)
 
 
-def component_of(row: np.ndarray) -> int | None:
-    """Return k where a row of `expression_rows` [E] is component k and nothing else."""
+def component_of(name: str, row: np.ndarray) -> int | None:
+    """Return k where a named expression, a row of `expression_rows` [E], is component k and nothing else, on everybody."""
     used = np.flatnonzero(row)
-    return int(used[0]) if used.size == 1 and row[used[0]] == 1.0 else None
+    return int(used[0]) if used.size == 1 and row[used[0]] == 1.0 and name not in CLOSING else None
 
 
 def shape_key_name(index: int) -> str:
@@ -90,18 +97,51 @@ def add_shape_keys(obj: bpy.types.Object, identity: Identity) -> None:
         _add_key(obj, shape_key_name(k), resting + to_blender(head.shape_dirs[:, :, k]))
     for k, name in enumerate(head.expression_names):
         _add_key(obj, name, resting + to_blender(head.expression_dirs[:, :, k]))
-    add_recipe_keys(obj, head)
+    add_recipe_keys(obj, head, identity.shape)
     for name in (SHAPE_REST_KEY, RESIDUAL_KEY):
         _add_key(obj, name, resting).value = 1.0
 
 
-def add_recipe_keys(obj: bpy.types.Object, head: HeadModel) -> None:
-    """Add the keys of named expressions that are more than one component of the head, where they are missing."""
-    resting = read_key(obj.data.shape_keys.key_blocks[BASIS_KEY]).reshape(-1, 3)
-    for name, row in zip(EXPRESSION_NAMES, expression_rows(head), strict=True):
+def add_recipe_keys(obj: bpy.types.Object, head: HeadModel, shape: np.ndarray) -> None:
+    """Add the keys of named expressions that are more than one component of the head, where they are missing.
+
+    Args:
+        obj: Head object.
+        head: Its model.
+        shape: The person's own coefficients, [<=S].
+    """
+    keys = obj.data.shape_keys.key_blocks
+    resting = read_key(keys[BASIS_KEY]).reshape(-1, 3)
+    for name, row in zip(EXPRESSION_NAMES, expression_rows(head, arkit_gain(head, shape)), strict=True):
         key = recipe_key_name(name, head)
-        if component_of(row) is None and key not in obj.data.shape_keys.key_blocks:
+        if component_of(name, row) is None and key not in keys:
             _add_key(obj, key, resting + to_blender(head.expression_dirs @ row))
+
+
+def fit_recipe_keys(obj: bpy.types.Object, head: HeadModel, shape: np.ndarray) -> None:
+    """Let the keys with `CLOSING` shapes in them go as far as a person's must; arguments as `add_recipe_keys`."""
+    own = [ARKIT_NAMES.index(name) for name in CLOSING]
+    rows = expression_rows(head, arkit_gain(head, shape))
+    for name, row, parts in zip(EXPRESSION_NAMES, rows, EXPRESSIONS_TO_ARKIT, strict=True):
+        if parts[own].any():
+            write_offsets(obj, recipe_key_name(name, head), to_blender(head.expression_dirs @ row).ravel())
+
+
+def has_closing_keys(obj: bpy.types.Object, head: HeadModel) -> bool:
+    """Whether a head has keys for what shuts its own eyes and lips; those of earlier versions have the sculpted ones alone."""
+    return all(recipe_key_name(name, head) in obj.data.shape_keys.key_blocks for name in CLOSING)
+
+
+def gain_of(obj: bpy.types.Object, head: HeadModel) -> np.ndarray:
+    """How far the ARKit shapes go on a head, [52], as its keys have it; 1 where it has none of its own."""
+    keys, gain, rows = obj.data.shape_keys.key_blocks, np.ones(len(ARKIT_NAMES), np.float32), expression_rows(head)
+    basis = read_key(keys[BASIS_KEY])
+    for name in CLOSING:
+        key = keys.get(recipe_key_name(name, head))
+        whole = to_blender(head.expression_dirs @ rows[EXPRESSION_NAMES.index(name)]).ravel()
+        if key is not None and whole.any():
+            gain[ARKIT_NAMES.index(name)] = (read_key(key) - basis) @ whole / (whole @ whole)
+    return gain
 
 
 def leading_shapes(head: HeadModel) -> int:

@@ -18,7 +18,7 @@ from .table import Controls
 
 __all__ = [
     "ALIGNED_TO_ARKIT", "EXPRESSIONS_TO_ARKIT", "Controls", "ExpressionBasis", "ResolvedControls", "arkit_weights",
-    "parse_assignments", "resolve",
+    "parse_assignments", "resolve", "weights_of",
 ]  # fmt: skip
 
 
@@ -72,17 +72,26 @@ def arkit_weights(controls: Controls) -> np.ndarray:
     return np.asarray(controls.aligned @ EXPRESSIONS_TO_ARKIT[: len(controls.aligned)])
 
 
-def resolve(controls: Controls, head: ExpressionBasis) -> ResolvedControls:
+def resolve(controls: Controls, head: ExpressionBasis, gain: np.ndarray | None = None) -> ResolvedControls:
     """Combine sliders, coefficients and pose: linear in every control, so that Blender's drivers give the same numbers.
 
     expression = controls.expression + weights @ recipes @ arkit_to_expression;
-    pose = controls.pose + sum_k expression_k expression_pose_k + weights @ recipes @ arkit_pose.
+    pose = controls.pose + sum_k expression_k expression_pose_k + weights @ recipes @ arkit_pose,
+    where weights @ recipes are taken times the gain.
+
+    Args:
+        controls: Of one frame.
+        head: What they move.
+        gain: How far each ARKit shape goes on the person, [52]: `head.arkit_gain`. None: as far as it is sculpted, as those go
+            that captures and fits know.
 
     Raises:
         ControlError, ShapeError: As `Controls.validate`.
     """
     clean = controls.validate()
     arkit = arkit_weights(clean)
+    if gain is not None:
+        arkit = arkit * gain
     expression = arkit @ np.asarray(head.arkit_to_expression, np.float32)  # [E]
     count = expression.shape[0]
     if clean.expression.size > count:
@@ -95,7 +104,16 @@ def resolve(controls: Controls, head: ExpressionBasis) -> ResolvedControls:
     aligned, compounds = np.split(clean.aligned, [len(ALIGNED_NAMES)])
     aligned = aligned.copy()
     aligned[: len(ARKIT_NAMES)] += compounds @ EXPRESSIONS_TO_ARKIT[len(ALIGNED_NAMES) :]
+    if gain is not None:
+        aligned[: len(ARKIT_NAMES)] *= gain
     return ResolvedControls(expression, pose.astype(np.float32), aligned)
+
+
+def weights_of(aligned: np.ndarray, gain: np.ndarray) -> np.ndarray:
+    """Weights of a person's sliders that resolve to sculpted ones, as captures and fits have them; both [60] or longer."""
+    weights = np.array(aligned, np.float32)
+    weights[: len(ARKIT_NAMES)] /= gain
+    return weights
 
 
 def parse_assignments(assignments: list[str]) -> dict[str, float]:

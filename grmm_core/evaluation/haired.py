@@ -16,11 +16,12 @@ import torch
 from torch.nn import functional
 
 from ..avatar import EXTENSION, Avatar, save_avatar
-from ..controls.frame import Controls, resolve
+from ..controls.frame import Controls, resolve, weights_of
 from ..data.dataset import CaptureDataset
 from ..data.types import Shot
 from ..fitting.hair_grain import directions
 from ..geometry.camera import Camera
+from ..head import arkit_gain
 from ..light.lamps import Lighting
 from ..light.shading import Response
 from ..model.people import made_avatar
@@ -70,8 +71,9 @@ class Haired:
         """
         if id(person) not in self._open:
             self._open[id(person)] = (person, *self._opened(person, shot.subject, seen))
-        controls = Controls(aligned=shot.aligned)
-        plain = resolve(controls, self._scene.head)
+        gain = arkit_gain(self._scene.head, person.shape if person.avatar is None else person.avatar.shape)
+        controls = Controls(aligned=weights_of(shot.aligned, gain))
+        plain = resolve(controls, self._scene.head, gain)
         expression = np.zeros_like(controls.expression)
         more = (shot.expression - plain.expression)[: expression.size]
         expression[: more.size] = more

@@ -80,23 +80,23 @@ class PointRig:
             flat = directions.reshape(self.count * 3, -1)
             self._parts.append(_JointPart(joint, weight.sum(1), template, flat, posedirs))
 
-    def of_person(self, shape: np.ndarray, expressions: int) -> Self:
+    def of_person(self, shape: np.ndarray, gain: np.ndarray) -> Self:
         """The same points of one person: no shape is left to find, and only the first components of expression are.
 
         Args:
             shape: [S].
-            expressions: How many of the E components are kept.
+            gain: How far each component that is kept goes on this person, [<=E].
         """
-        rig = copy.copy(self)
+        rig, expressions = copy.copy(self), len(gain)
         rig.shape_count, rig.expression_count = 0, expressions
         rig._joint_template, rig._joint_dirs = self._joints(shape), self._joint_dirs[..., :0]
-        rig._expression_pose = self._expression_pose[:expressions]
+        rig._expression_pose = self._expression_pose[:expressions] * gain[:, None, None]
         split, end = self.shape_count, self.shape_count + expressions
         rig._parts = [
             replace(
                 part,
                 template=part.template + (part.directions[:, :split] @ shape).reshape(-1, 3),
-                directions=np.ascontiguousarray(part.directions[:, split:end]),
+                directions=np.ascontiguousarray(part.directions[:, split:end] * gain),
             )
             for part in self._parts
         ]

@@ -14,10 +14,10 @@ import numpy as np
 from ..avatar import AssetReference, Avatar, PhotoRecord, Provenance
 from ..avatar.deltas import rounded
 from ..avatar.types import MADE_BY, SHAPE_SIZE
-from ..controls.frame import ALIGNED_TO_ARKIT, Controls
+from ..controls.frame import ALIGNED_TO_ARKIT, Controls, weights_of
 from ..errors import ShapeError
 from ..geometry.camera import Camera
-from ..head import HeadModel
+from ..head import HeadModel, arkit_gain
 from .photo_light import Light
 from .types import PhotoTrack
 
@@ -86,7 +86,7 @@ def photo_controls(avatar: Avatar, head: HeadModel, index: int = 0) -> Controls:
     expression, aligned = _row(avatar, "expression", index), _row(avatar, "aligned", index)
     by_name = aligned @ ALIGNED_TO_ARKIT @ np.asarray(head.arkit_to_expression, np.float32)  # [E]
     return Controls(
-        aligned=aligned.copy(),
+        aligned=weights_of(aligned, arkit_gain(head, avatar.shape)),
         expression=expression - by_name[: len(expression)],
         pose=_row(avatar, "pose", index).copy(),
         z_exp=_row(avatar, "z_exp", index).copy(),

@@ -1,6 +1,7 @@
 """Head models: the open head, the user's FLAME, skinning.
 
 ``head_model``  `HeadModel`, FLAME's format as numpy arrays; needs numpy only
+``closing``     how far blinks and lips of a person must go to shut
 ``skinning``    linear blend skinning as pure functions, for numpy and torch
 ``open_head``   the project's own head and its relation to age, gender, ethnicity and weight
 ``flame``       a user's FLAME file completed to a `HeadModel`; its parts are ``flame_file`` (reading without executing),
@@ -14,12 +15,16 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from .closing import arkit_gain
 from .head_model import HeadModel
 from .open_head import PeopleModel, load_open_head, load_people_model, read_head_file
 
 FLAME_SUFFIXES = (".pkl", ".npz")
 
-__all__ = ["FLAME_SUFFIXES", "HeadModel", "PeopleModel", "load_flame", "load_open_head", "load_people_model", "read_head"]
+__all__ = [
+    "FLAME_SUFFIXES", "HeadModel", "PeopleModel", "arkit_gain", "load_flame", "load_open_head", "load_people_model",
+    "read_head",
+]  # fmt: skip
 
 
 def load_flame(

@@ -19,6 +19,7 @@ from ..controls.frame import Controls, ResolvedControls, resolve
 from ..controls.names import ALIGNED_NAMES
 from ..errors import ConfigError, ShapeError
 from ..geometry.libraries import Array
+from ..head import arkit_gain
 
 if TYPE_CHECKING:
     import torch
@@ -126,7 +127,8 @@ class InputSpace:
             ControlError, ShapeError: A control is not finite, or has more components than this model.
         """
         clean = controls.validate()
-        return self.frame(person, resolve(clean, self.head), clean.shape, clean.z_id, clean.z_exp, clean.residual_strength)
+        performed = resolve(clean, self.head, arkit_gain(self.head, person.shape))
+        return self.frame(person, performed, clean.shape, clean.z_id, clean.z_exp, clean.residual_strength)
 
     def frame(
         self, person: AnyPerson, performed: ResolvedControls, shape: np.ndarray = _NOTHING, z_id: np.ndarray = _NOTHING,

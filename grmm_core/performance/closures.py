@@ -66,19 +66,23 @@ class LipModel:
         return self.rest + np.asarray(weights, np.float64) @ self.slopes
 
 
-def lip_model(head: LipHead, resting: np.ndarray | None = None, posed: PosedMesh | None = None) -> LipModel:
+def lip_model(
+    head: LipHead, gain: np.ndarray, resting: np.ndarray | None = None, posed: PosedMesh | None = None
+) -> LipModel:  # fmt: skip
     """Measure a head's lips.
 
     Args:
         head: Head model.
+        gain: How far each ARKit shape goes on the person, [52]: `head.arkit_gain`.
         resting: The person's resting mesh, [V, 3] metres; the head's mean person when None.
         posed: The person's mesh for ARKit weights [52], where a learned displacement moves the lips as well; it stands over
-            `resting`.
+            `gain` and `resting`.
     """
 
     def apart(weights: np.ndarray) -> float:
         if posed is not None:
             return _apart(head, posed(weights))
+        weights = weights * gain
         expression = np.asarray(head.arkit_to_expression, np.float32).T @ weights
         pose = np.einsum("e,ejk->jk", expression, np.asarray(head.expression_pose, np.float32))
         own: Any = getattr(head, "arkit_pose", None)

@@ -51,9 +51,14 @@ def record(controls: Sequence[Controls], times: np.ndarray, fps: float, head: Ex
     )  # fmt: skip
 
 
-def record_expression(controls: Sequence[Controls], times: np.ndarray, fps: float, head: ExpressionBasis) -> Performance:
-    """Return controls as expression coefficients and joint rotations of a FLAME head, its own. Arguments as `record`."""
-    found = [resolve(frame, head) for frame in controls]
+def record_expression(
+    controls: Sequence[Controls], times: np.ndarray, fps: float, head: ExpressionBasis, gain: np.ndarray
+) -> Performance:
+    """Return controls as expression coefficients and joint rotations of a FLAME head, its own.
+
+    Arguments as `record`, and the person's `head.arkit_gain`, [52].
+    """
+    found = [resolve(frame, head, gain) for frame in controls]
     poses = np.stack([frame.pose for frame in found]).astype(np.float64)
     return Performance(
         times, np.zeros((len(found), len(ARKIT_NAMES)), np.float32), fps, "scene", head_rotation=poses[:, 0],

@@ -1,18 +1,19 @@
 """From one head model to another: ARKit weights to expression coefficients and back, by least squares on vertices.
 
 Both directions compare what the face does, not the numbers: vertex movements in metres, and joint turns as the path of a point
-10 cm from the joint. Heads are duck-typed (`head.HeadModel` has all that is needed). Needs numpy only.
+10 cm from the joint. Nobody in particular performs: ARKit shapes go as far as on the mean person. Needs numpy only.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from ..controls.names import ARKIT_NAMES, JOINT_NAMES
 from ..errors import ShapeError
+from ..head import HeadModel, arkit_gain
 from ..jobs.progress import Share
 from .types import Performance
 
@@ -21,28 +22,10 @@ _RIDGE = 1e-4  # relative to the mean diagonal: keeps nearly parallel shapes fro
 _MAX_ITERATIONS = 2000
 _TOLERANCE = 1e-5
 _CHUNK = 4096
+_MEAN = np.zeros(0, np.float32)  # shape of the mean person
 
 
-class ExpressionModel(Protocol):
-    """The part of `head.HeadModel` that retargeting needs."""
-
-    @property
-    def expression_dirs(self) -> np.ndarray:
-        """[V, 3, E] metres."""
-        ...
-
-    @property
-    def expression_pose(self) -> np.ndarray:
-        """[E, 5, 3] radians."""
-        ...
-
-    @property
-    def arkit_to_expression(self) -> np.ndarray:
-        """[52, E]."""
-        ...
-
-
-def expression_features(head: ExpressionModel) -> np.ndarray:
+def expression_features(head: HeadModel) -> np.ndarray:
     """What a unit of each expression component moves, [E, 3 V + 15] metres."""
     count = head.expression_dirs.shape[2]
     moves = np.asarray(head.expression_dirs, np.float64).reshape(-1, count).T
@@ -50,18 +33,12 @@ def expression_features(head: ExpressionModel) -> np.ndarray:
     return np.concatenate([moves, turns], 1)
 
 
-def _arkit_pose(head: ExpressionModel) -> np.ndarray:
-    """Joint turns of the ARKit shapes beside those of their coefficients (FLAME has them), radians, [52, 5, 3]."""
-    pose = getattr(head, "arkit_pose", None)
-    return np.zeros((len(ARKIT_NAMES), len(JOINT_NAMES), 3)) if pose is None else np.asarray(pose, np.float64)
-
-
 def _turn_weight(coordinates: int) -> float:
     """Weight of a radian: a twentieth of the vertices moves with the lever."""
     return _LEVER * (coordinates / 3 / 20) ** 0.5
 
 
-def to_expression(performance: Performance, head: ExpressionModel, keep_weights: bool = False) -> Performance:
+def to_expression(performance: Performance, head: HeadModel, keep_weights: bool = False) -> Performance:
     """Turn ARKit weights into coefficients of `head`'s expression space, with its joint turns as rotations.
 
     The result has `expression`, jaw and eye rotations, and weights of zero, so that nothing moves twice.
@@ -71,19 +48,18 @@ def to_expression(performance: Performance, head: ExpressionModel, keep_weights:
         head: The target.
         keep_weights: Keep the weights beside them (for files that hold both).
     """
-    mapping = np.asarray(head.arkit_to_expression, np.float64)
-    expression = performance.weights.astype(np.float64) @ mapping  # [T, E]
+    weights = performance.weights.astype(np.float64) * arkit_gain(head, _MEAN)
+    expression = weights @ np.asarray(head.arkit_to_expression, np.float64)  # [T, E]
     turns = np.einsum("te,ejk->tjk", expression, np.asarray(head.expression_pose, np.float64))
-    turns += np.einsum("ta,ajk->tjk", performance.weights.astype(np.float64), _arkit_pose(head))
+    turns += np.einsum("ta,ajk->tjk", weights, np.asarray(head.arkit_pose, np.float64))
     changes: dict[str, Any] = {}
     for joint, name in (("jaw", "jaw_rotation"), ("left_eye", "left_eye_rotation"), ("right_eye", "right_eye_rotation")):
         old = getattr(performance, name) if joint == "jaw" else None  # the eyes' own rotations repeat the eyeLook shapes
         turn = turns[:, JOINT_NAMES.index(joint)]
         changes[name] = turn if old is None else old + turn
-    weights = performance.weights if keep_weights else np.zeros_like(performance.weights)
     return replace(
         performance,
-        weights=weights,
+        weights=performance.weights if keep_weights else np.zeros_like(performance.weights),
         expression=expression.astype(np.float32),
         head_model="flame",
         recorded_shapes=performance.recorded_shapes if keep_weights else (),
@@ -91,7 +67,7 @@ def to_expression(performance: Performance, head: ExpressionModel, keep_weights:
     )
 
 
-def to_arkit(performance: Performance, head: ExpressionModel, progress: Share | None = None) -> Performance:
+def to_arkit(performance: Performance, head: HeadModel, progress: Share | None = None) -> Performance:
     """Turn expression coefficients and jaw rotations of `head` into ARKit weights 0..1 that move its vertices most alike.
 
     Args:
@@ -116,7 +92,8 @@ def to_arkit(performance: Performance, head: ExpressionModel, progress: Share | 
         )
     features = expression_features(head)  # [E, F]
     shapes = np.asarray(head.arkit_to_expression, np.float64) @ features  # [52, F]
-    shapes[:, -15:] += _arkit_pose(head).reshape(len(ARKIT_NAMES), -1) * _turn_weight(features.shape[1] - 15)
+    shapes[:, -15:] += head.arkit_pose.reshape(len(ARKIT_NAMES), -1) * _turn_weight(features.shape[1] - 15)
+    shapes *= arkit_gain(head, _MEAN)[:, None]
     gram, cross = shapes @ shapes.T, features[:width] @ shapes.T
     targets = np.asarray(performance.expression, np.float64) @ cross  # [T, 52]
     total = _squares(performance.expression, features[:width])

@@ -52,7 +52,7 @@ def find_actor(followed: Followed, rig: LandmarkRig, shape: np.ndarray | None = 
         progress: Called with the share done; may raise to cancel.
     """
     seen = [observation(followed, index) for index in _key_frames(followed, rig)]
-    known = rig if shape is None else rig.of_person(shape, rig.expression_count)
+    known = rig if shape is None else rig.of_person(shape, np.ones(rig.expression_count))
     fit = fit_landmarks(seen, known, progress=progress)
     longest = max(followed.width, followed.height)
     focal = float(np.exp(np.median([view.focal for view in fit.views])))

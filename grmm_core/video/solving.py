@@ -18,6 +18,7 @@ from ..fitting.landmark_priors import Priors, View, landmark_sigmas, make_priors
 from ..fitting.landmark_stage import Observation, seen_pose
 from ..fitting.point_rig import LandmarkRig
 from ..fitting.solver import PhotoProblem, Problem, Solution, Term, project, solve
+from ..head import arkit_gain
 from ..head.head_model import JOINT_COUNT
 from ..jobs.progress import Share
 from .actor import Actor, observation, roll_of
@@ -57,7 +58,7 @@ def solve_frames(followed: Followed, actor: Actor, rig: LandmarkRig, progress: S
         rig: Landmarks of the head model, whose first components of expression are the ARKit shapes.
         progress: Called with the share done; may raise to cancel.
     """
-    person = rig.of_person(actor.shape, len(ARKIT_NAMES))
+    person = rig.of_person(actor.shape, arkit_gain(rig.head, actor.shape))
     rest = person.positions(np.zeros(0), np.zeros(len(ARKIT_NAMES)), np.zeros((JOINT_COUNT, 3)))
     center, eyes = rest.mean(0), float(np.linalg.norm(np.subtract(*rest[list(_EYE_CORNERS)])))
     count = len(followed.times)

@@ -43,6 +43,9 @@ def test_a_row_is_all_that_a_control_needs(run_blender: RunBlender, version: str
         assert state["present"] == [True, True]
         assert state["limits"] == [0.0, 2.0, 1.0, 0.5]
         assert state["moved"] > 1e-3
+        on_mesh, wanted = state["gains"]
+        assert on_mesh == pytest.approx(wanted, abs=1e-3)
+        assert max(wanted[:2]) < 0.99 < 1.01 < wanted[2], "sculpted blinks go too far, and sculpted lips not far enough"
         assert state["parity"] < RIG_PARITY
         assert state["frames"] == 3
         assert state["gloss"] == 0.75

@@ -13,6 +13,9 @@ from rig_support import core_mesh, fresh_head, largest, mesh_of, update, without
 from support import module, report
 
 Avatar = module("grmm_blender.rig.avatar").Avatar
+read_identity, gain_of = module("grmm_blender.rig.identity").read_identity, module("grmm_blender.rig.mesh").gain_of
+arkit_gain, open_head = module("grmm_core.head").arkit_gain, module("grmm_core.head").load_open_head()
+CLOSING = [open_head.expression_index(name) for name in module("grmm_core.head.closing").CLOSING]
 NEW = ("visemeMM", "light.gloss")
 
 
@@ -20,9 +23,9 @@ def state(avatar) -> dict:
     """What has to hold of a head, whenever it was made."""
     head = avatar.object
     present, limits = [name in head for name in NEW], head.id_properties_ui("light.gloss").as_dict()
-    before = mesh_of(avatar)
+    before, person = mesh_of(avatar), read_identity(avatar.source)
     keys = [avatar.controls().key()]
-    head["visemeMM"], head["jawOpen"] = 0.7, 0.3
+    head["visemeMM"], head["jawOpen"], head["eyeBlinkLeft"] = 0.7, 0.3, 0.8
     update(avatar)
     keys.append(avatar.controls().key())
     head["light.gloss"] = 0.75
@@ -31,6 +34,7 @@ def state(avatar) -> dict:
     return {
         "present": present,
         "limits": [limits["min"], limits["max"], limits["soft_max"], limits["default"]],
+        "gains": [gain[CLOSING].tolist() for gain in (gain_of(head, open_head), arkit_gain(open_head, person.shape))],
         "moved": largest(mesh_of(avatar) - before),
         "parity": largest(mesh_of(avatar) - core_mesh(avatar)),
         "frames": len(set(keys)),

@@ -72,7 +72,8 @@ def core_mesh(avatar: Any, controls: Any = None, displacement: np.ndarray | None
     """What the core's head model makes of an avatar's controls, with a given displacement or none, [V, 3]."""
     controls = controls or avatar.controls()
     identity = module("grmm_blender.rig.identity").read_identity(avatar.source)
-    resolved = module("grmm_core.controls.frame").resolve(controls, identity.head)
+    gain = module("grmm_core.head").arkit_gain(identity.head, identity.shape)
+    resolved = module("grmm_core.controls.frame").resolve(controls, identity.head, gain)
     shape = identity.shape.copy()
     shape[: controls.shape.size] += controls.shape
     return identity.head.vertices(shape, resolved.expression, resolved.pose, displacement)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from grmm_core.controls.frame import ALIGNED_TO_ARKIT, Controls, parse_assignments, resolve
+from grmm_core.controls.frame import ALIGNED_TO_ARKIT, Controls, parse_assignments, resolve, weights_of
 from grmm_core.controls.names import ALIGNED_NAMES, ARKIT_NAMES, EXPRESSION_NAMES, MIXTURES
 from grmm_core.errors import ControlError
 
@@ -33,6 +33,20 @@ def test_pose_is_the_sum_of_control_and_expression():
     assert ARKIT_NAMES[24] == "jawOpen"
     assert resolved.pose[2, 0] == pytest.approx(0.1 + 0.4 * 0.75)
     assert resolved.pose[3:, 1] == pytest.approx([0.2, 0.2])
+
+
+def test_the_gain_of_a_person_says_how_far_shapes_go():
+    gain = np.random.default_rng(0).uniform(0.5, 1.5, 52).astype(np.float32)
+    controls = Controls().set_named({"jawOpen": 0.5, "eyeBlinkLeft": 1.0, "surprise": 0.3, "expression.9": 0.2})
+    plain, resolved = resolve(controls, Basis()), resolve(controls, Basis(), gain)
+    given = np.zeros(100, np.float32)
+    given[9] = 0.2
+    by_name = (plain.expression - given) * np.append(gain, np.ones(48))
+    np.testing.assert_allclose(resolved.expression, by_name + given, rtol=1e-6)
+    np.testing.assert_allclose(resolved.aligned, plain.aligned * np.append(gain, np.ones(8)), rtol=1e-6)
+    assert resolved.pose[2, 0] == pytest.approx(0.4 * resolved.expression[ARKIT_NAMES.index("jawOpen")])
+    back = resolve(Controls(aligned=weights_of(plain.aligned, gain)), Basis(), gain)
+    np.testing.assert_allclose(back.aligned, plain.aligned, rtol=1e-6)
 
 
 def test_setting_controls_leaves_the_original_alone():

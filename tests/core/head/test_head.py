@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -11,7 +13,8 @@ from grmm_core.controls.names import ARKIT_NAMES, JOINT_NAMES
 from grmm_core.errors import FileAccessError, FileFormatError, ShapeError
 from grmm_core.files.tensorfile import read_tensors, write_tensors
 from grmm_core.geometry.rotations import euler_to_matrix
-from grmm_core.head import load_open_head, load_people_model, read_head
+from grmm_core.head import arkit_gain, load_open_head, load_people_model, read_head
+from grmm_core.head.closing import CLOSING
 from grmm_core.head.open_head import ASSET
 from grmm_core.head.skinning import joint_transforms, posed_vertices
 
@@ -411,6 +414,53 @@ def test_lids_cover_the_eyeballs(head):
             assert eye_visibility(head, closed, side) <= 0.1 * visible
     closed = pose_head(head, both("eyeBlink"))
     assert eye_visibility(head, closed, "left") == eye_visibility(head, closed, "right") == 0
+
+
+def lids_apart(head, vertices):
+    """Lower to upper lid at two places of each eye, metres; less than 0 where they have passed each other, [4]."""
+    points = head.landmark_positions(vertices)
+    return points[[37, 38, 43, 44], 1] - points[[41, 40, 47, 46], 1]
+
+
+def test_a_blink_shuts_eyes_of_any_size_and_half_a_blink_half(head):
+    gains = []
+    for shape in (np.zeros(300), *random_people()):
+        gain = arkit_gain(head, shape)
+        assert (np.delete(gain, [ARKIT_NAMES.index(name) for name in CLOSING]) == 1.0).all()
+
+        def blinking(weight, shape=shape, gain=gain):
+            found = resolve(Controls().set_named(both("eyeBlink", weight)), head, gain)
+            return head.vertices(shape, found.expression, found.pose)
+
+        apart = [lids_apart(head, blinking(weight)) for weight in (0.0, 0.5, 1.0)]
+        assert -0.001 < apart[2].max() < 0.0, "the last place to close is shut by a little"
+        assert apart[2].min() > -0.004, "sculpted blinks go on for up to 6 mm"
+        assert (0.2 * apart[0] < apart[1]).all()
+        assert (apart[1] < 0.6 * apart[0]).all()
+        for side in ("left", "right"):
+            assert eye_visibility(head, blinking(1.0), side) <= 0.1 * eye_visibility(head, blinking(0.0), side)
+        gains.append(gain[ARKIT_NAMES.index("eyeBlinkLeft")])
+    assert max(gains) - min(gains) > 0.1
+
+
+def test_lips_close_by_as_much_as_the_jaw_opens(head):
+    for shape in (np.zeros(300), *random_people()):
+        gain = arkit_gain(head, shape)
+
+        def apart(shape=shape, gain=gain, **weights):
+            found = resolve(Controls().set_named(weights), head, gain)
+            points = head.landmark_positions(head.vertices(shape, found.expression, found.pose))
+            return (points[[61, 62, 63], 1] - points[[67, 66, 65], 1]).mean()
+
+        resting = apart()
+        for weight in (0.15, 0.3, 0.5):
+            left = apart(jawOpen=weight, mouthClose=weight) - min(max(resting, 0.0), 5e-4)
+            assert abs(left) < max(0.0012, abs(min(resting, 0.0))) or left < resting, "lips that rest apart need not touch"
+        assert apart(jawOpen=0.5) - resting > 0.008
+
+
+def test_a_head_without_landmarks_closes_as_it_was_sculpted(head):
+    assert (arkit_gain(replace(head, landmarks68=None), np.zeros(300)) == 1.0).all()
 
 
 # ---- landmarks and people -------------------------------------------------------------------------------------------------

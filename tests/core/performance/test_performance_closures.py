@@ -27,7 +27,7 @@ def speech() -> Performance:
 
 @pytest.fixture(scope="module")
 def lips():
-    return lip_model(load_open_head())
+    return lip_model(load_open_head(), np.ones(52))
 
 
 def test_the_model_of_the_lips_is_that_of_the_head(lips):
@@ -50,7 +50,7 @@ def test_a_learned_displacement_counts(lips):
         vertices[lower, 1] -= 2e-3 * weights[SMILE[0]] + 5e-4
         return vertices
 
-    learned = lip_model(head, posed=posed)
+    learned = lip_model(head, np.ones(52), posed=posed)
     assert learned.rest == pytest.approx(lips.rest + 5e-4, abs=1e-6)
     assert learned.slopes[SMILE[0]] == pytest.approx(lips.slopes[SMILE[0]] + 2e-3, abs=1e-5)
     assert learned.slopes[JAW] == pytest.approx(lips.slopes[JAW], abs=1e-5)

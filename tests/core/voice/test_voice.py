@@ -15,7 +15,7 @@ from grmm_core.cli import build_parser, main
 from grmm_core.controls.names import ARKIT_NAMES
 from grmm_core.errors import CancelledError, ConfigError, FileAccessError, FileFormatError, GrmmError, RuntimeMissingError
 from grmm_core.formats import format_to_read
-from grmm_core.head.open_head import load_open_head
+from grmm_core.head import arkit_gain, load_open_head
 from grmm_core.performance.closures import lip_model
 from grmm_core.voice.acting import act
 from grmm_core.voice.api import FPS, speak
@@ -82,7 +82,8 @@ def test_lips_follow_what_is_said(voice: Voice, truth: np.ndarray) -> None:
 
 
 def test_lips_close_for_p_b_and_m(voice: Voice, truth: np.ndarray) -> None:
-    lips = lip_model(load_open_head())
+    head = load_open_head()
+    lips = lip_model(head, arkit_gain(head, np.zeros(0)))
     apart = lips.distance(truth.astype(np.float32)) - lips.rest
     spans = [(phone.start, phone.end) for phone in voice.phones if phone.name in LIPS]
     assert len(spans) >= 5

@@ -12,7 +12,8 @@
 ``person_lights``      the lights of all photos of a person, by the colors that they agree on; ``local_light``: what no lamp
                        explains of them; ``fold_light``: shade in narrow folds
 ``photometric_stage``  the refinement by outline
-``track``              photos to tracks; ``pixel_stage``: again by all their pixels, as a quick avatar looks
+``track``              photos to tracks; ``pixel_stage``: again by all their pixels, as a quick avatar looks; ``tilt``: heads
+                       that lean tilt on their necks
 ``faces_picture``      the faces of a photo as a picture, to check the choice
 ``photo_targets``      tracked photos as what the inversion compares with
 ``objective``          attributes drawn into a photo's camera, and their loss

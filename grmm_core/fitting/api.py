@@ -137,6 +137,7 @@ def _make(
     from .photo_targets import left_out
     from .root_shade import shaded_scalp
     from .settling import locally_lit, settled
+    from .tilt import hung_free, upright
 
     if request.threads:
         import torch
@@ -149,6 +150,7 @@ def _make(
     head, folder = loaded.model.head_model, request.work_folder
     with beside(partial(_head_start, loaded.model)):
         tracks = _tracks(request, job, photos, masks, loaded.model, loaded.info, report, on_faces)
+    tracks = [upright(track, head) for track in tracks]
     hairless = loaded.model.config.hairless
     parts = [parse(track, head) for track in tracks] if hairless else []
 
@@ -160,8 +162,7 @@ def _make(
             while wait([coded], _WAIT_SECONDS).not_done:
                 told(1.0)
             worn = trimmed(loaded.model, dataclasses.replace(coded.result(), hair=hair), tracks, parts)
-            worn, unlit = unlit_hair(session, worn, tracks, parts, head)
-            return worn.hair, unlit
+            return unlit_hair(session, worn, tracks, parts, head)
 
     finish = report.part("finish")
     with beside(find_hair) if hairless else contextlib.nullcontext() as found:
@@ -179,6 +180,7 @@ def _make(
         person = with_deltas(loaded.model, avatar.deltas, folder)
         finish(0.1)
         avatar = textured(person, avatar, unlit, parts)
+        avatar = dataclasses.replace(avatar, hair=hung_free(avatar.hair, tracks, head))
     finish(0.4)
     pictures = photo_pictures(person, avatar, tracks)
     several = len(tracks) > 1  # light that strands keep off the skin then is the photos' own, and no color

@@ -130,8 +130,10 @@ def _at_height(groom: Groom, track: PhotoTrack, view: HairView, head: HeadModel)
     frames = groom.frames(template, faces)
     pixels = view.camera.project(groom.posed(frames, view.vertices))[1]
     root, strand = frames.at(template)[0], groom.strand_of_point
-    down = view.camera.world_to_camera[:2, :3] @ np.array([0.0, -1.0, 0.0])
-    scale = float(np.ptp(view.camera.project(view.vertices)[1] @ down) / np.ptp(view.vertices[:, 1]) / max(down @ down, 0.1))
+    down = track.head_down
+    scale = float(
+        np.ptp(view.camera.project(view.vertices)[1] @ down) / np.ptp(view.vertices @ track.turn[:, 1]) / max(down @ down, 0.1)
+    )
     moved = root.copy()
     sides = {np.sign(track.landmarks[outline[0], 0] - track.landmarks[BRIDGE, 0]): outline for outline in OUTLINES}
     for side, outline in sides.items():

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch.nn import functional
 
-from ..avatar import EXTENSION, Avatar, save_avatar
+from ..avatar import EXTENSION, Avatar, Hair, save_avatar
 from ..hair.coloring import with_colors
 from ..hair.roots import SCALP
 from ..head import HeadModel
@@ -26,6 +26,7 @@ from .blurring import blurred
 from .hair_view import hair_view, hardly_shown
 from .photo_light import MATT
 from .result import photo_controls, photo_light
+from .tilt import hung_free
 from .types import PhotoTrack
 
 SIDE = 384  # pixels: longer side of the pictures that tell the light
@@ -36,7 +37,7 @@ _THIN = 1e-3
 
 def unlit_hair(
     session: Session, avatar: Avatar, tracks: Sequence[PhotoTrack], parts: Sequence[PhotoParts], head: HeadModel
-) -> tuple[Avatar, list[PhotoTrack]]:
+) -> tuple[Hair | None, list[PhotoTrack]]:
     """Take the photos' light out of hair.
 
     Args:
@@ -47,15 +48,15 @@ def unlit_hair(
         head: Head model.
 
     Returns:
-        The avatar with pigments anew, and the photos with hair in the studio's light.
+        The hair with pigments anew, and the photos with hair in the studio's light.
     """
     hair = avatar.hair
     lights = [photo_light(avatar, index).lighting for index in range(len(tracks))]
     if hair is None or hair.groom is None or all(light is None for light in lights):
-        return avatar, list(tracks)
+        return hair, list(tracks)
     with tempfile.TemporaryDirectory(prefix="grmm-") as folder:
         path = Path(folder) / f"lit{EXTENSION}"
-        save_avatar(avatar, path)
+        save_avatar(dataclasses.replace(avatar, hair=hung_free(hair, tracks, head)), path)  # a session hangs it
         number = session.open(path).id
         shown = [Instance(number, photo_controls(avatar, head, index), wrinkles=0.0) for index in range(len(tracks))]
         unlit = [
@@ -67,8 +68,8 @@ def unlit_hair(
     views = [hair_view(track, seen, head) for track, seen in zip(unlit, parts, strict=True)]
     if scalp.any() and not hardly_shown(views[0], parts[0]):
         settings = with_colors(hair.settings, hair.groom.select(scalp), views, head)
-        avatar = dataclasses.replace(avatar, hair=dataclasses.replace(hair, settings=settings))
-    return avatar, unlit
+        hair = dataclasses.replace(hair, settings=settings)
+    return hair, unlit
 
 
 def _unlit(session: Session, instance: Instance, track: PhotoTrack, light: Lighting) -> PhotoTrack:

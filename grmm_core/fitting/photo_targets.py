@@ -274,7 +274,7 @@ def _areas(track: PhotoTrack, parts: PhotoParts, triangles: np.ndarray, pixels: 
 def _grid(track: PhotoTrack) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
     """Columns and rows of the pixels, [H, W] each, and the direction of the head's down on the picture, [2]."""
     rows, columns = np.mgrid[: track.camera.height, : track.camera.width] + 0.5
-    down = track.camera.world_to_camera[:2, :3] @ np.array([0.0, -1.0, 0.0])
+    down = track.head_down
     return (columns, rows), down / max(float(np.linalg.norm(down)), 1e-6)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from ..errors import FileFormatError, ShapeError
 from ..files.tensorfile import read_tensors, write_tensors
 from ..geometry.camera import Camera
+from ..geometry.rotations import euler_to_matrix
 from ..photo.landmarks import LANDMARK_COUNT, HeadLandmarks
 
 FORMAT = "grmm-tracks"
@@ -94,6 +95,19 @@ class PhotoTrack:
     def eye_distance(self) -> float:
         """Distance of the outer eye corners as found, pixels of the working picture."""
         return float(np.linalg.norm(self.landmarks[263] - self.landmarks[33]))
+
+    @property
+    def turn(self) -> np.ndarray:
+        """From the axes of the head, which a neck may tilt, to those of the bust, in which cameras are, [3, 3]."""
+        root, neck = euler_to_matrix(self.pose[:2].astype(np.float64))
+        turn: np.ndarray = root @ neck
+        return turn
+
+    @property
+    def head_down(self) -> np.ndarray:
+        """Where the head's down goes in the picture, [2], of a length below 1 where it nods."""
+        down: np.ndarray = -(self.camera.world_to_camera[:3, :3] @ self.turn)[:2, 1]
+        return down
 
     @property
     def placed_in_photo(self) -> HeadLandmarks | None:

@@ -51,11 +51,11 @@ def test_hair_lit_from_a_side_is_as_in_the_studio_again(session, side, tmp_path)
     assert full.sum() > 1000
     assert wrong > 0.08
     assert left < 0.35 * wrong
-    assert abs(again.hair.settings.melanin - 0.3) < 0.1
+    assert abs(again.settings.melanin - 0.3) < 0.1
 
 
 def test_in_the_studios_light_nothing_is_done(session):
     avatar, track, head = person(session, Light.studio())
     same, tracks = unlit_hair(session, avatar, [track], [parts_of(np.zeros((SIDE, SIDE)))], head)
-    assert same is avatar
+    assert same is avatar.hair
     assert tracks[0] is track

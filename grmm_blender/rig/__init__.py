@@ -23,7 +23,8 @@ How a control reaches the mesh (no scripted driver, no add-on needed, except for
 * Custom properties on the head object are what animators keyframe: one float for each named expression (``jawOpen``),
   arrays ``shape``, ``expression``, ``z_id``, ``z_exp``, and single numbers such as ``residual_strength``.
 * Shape key ``shape.k`` = shape[k]; expression key k = expression[k] + its ARKit float. A named expression that is more than
-  one component of the head (a mixture, or an ARKit shape on FLAME) has a key of its own with its recipe's sum of offsets.
+  one component of the head (a mixture, or an ARKit shape on FLAME) has a key of its own with its recipe's sum of offsets;
+  so have blinks and closed lips, which go differently far on each person (``grmm_core.head.closing``).
 * Joints have four bones with the same rest pose, aligned with the head's axes: ``MCH-jaw`` carries the shift of the joint
   with the person's shape, ``jaw`` is the animator's, ``DEF-jaw`` deforms, and ``DRV-jaw`` receives the rotation that
   expressions give. A Copy Rotation constraint in the mode Add puts DRV's Euler angles on top of the animator's own: the sum is

@@ -139,8 +139,7 @@ def _free(head: HeadModel, rest: np.ndarray, middles: np.ndarray, down: np.ndarr
     """
     away = _away(head, rest, middles, down)
     begins = HANGS[0] + LEAVES * away.clip(0.0)
-    ears = rest[np.asarray(head.regions["ears"]), 1].mean()
-    share = ((begins - (middles[..., 1] - ears)) / (begins - HANGS[1])).clip(0.0, 1.0)
+    share = ((begins - (middles[..., 1] - _ears(head, rest)[1])) / (begins - HANGS[1])).clip(0.0, 1.0)
     held = 1.0 - HELD * (-away / FALLS).clip(0.0, 1.0)
     free: np.ndarray = (share**2 * (3.0 - 2.0 * share) * held).astype(np.float32)
     return free
@@ -148,10 +147,16 @@ def _free(head: HeadModel, rest: np.ndarray, middles: np.ndarray, down: np.ndarr
 
 def _away(head: HeadModel, rest: np.ndarray, middles: np.ndarray, down: np.ndarray) -> np.ndarray:
     """How much segments are on the side to which the head is tilted, where hair falls away from it, -1..1; as `_free`."""
-    beside = (middles - rest[np.asarray(head.regions["ears"])].mean(0))[..., ::2]
+    beside = (middles - _ears(head, rest))[..., ::2]
     way = np.asarray(down)[::2] / max(float(np.linalg.norm(down[::2])), 1e-6)
     away: np.ndarray = beside @ way / np.maximum(np.linalg.norm(beside, axis=-1), 1e-6)
     return away
+
+
+def _ears(head: HeadModel, rest: np.ndarray) -> np.ndarray:
+    """The middle between the ears, of a head without the middle of its scalp, [3]."""
+    middle: np.ndarray = rest[np.asarray(head.regions.get("ears", head.regions["scalp"]))].mean(0)
+    return middle
 
 
 def _hanging(places: np.ndarray, leaning: np.ndarray, down: np.ndarray, free: np.ndarray) -> np.ndarray:

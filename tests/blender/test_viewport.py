@@ -150,7 +150,7 @@ def test_solid_view_lights_a_head_that_takes_the_scenes_light_by_its_studio_ligh
 def test_splats_go_along_with_a_rig_that_is_dragged(drawn):
     found, _ = drawn
     old_ones, late, moved = found["dragged"]
-    assert old_ones
+    assert old_ones, found["dragged_shown"]
     assert moved > 0.01
     assert late < 0.1 * moved
     assert found["dragged_levels"] == [0, 2, 0]  # made when the rig rests; coarsely while the face changes, and at rest

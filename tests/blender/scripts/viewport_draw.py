@@ -260,6 +260,9 @@ bpy.context.view_layer.update()
 overlay._on_change()
 along = in_buffer(draw)
 went_along = viewport._drawable.packed is before
+shown, made = viewport._drawable, viewport.jobs._made
+same = [jobs_module.same_shot(one, two) for one, two in zip(made.scene.shots, shown.request.scene.shots, strict=True)]
+report(dragged_shown=[shown.level, shown.request.level, made.level, same, list(shown.messages)])  # where it did not go along
 rests.set()
 viewport.jobs._wait_for_rest = at_rest
 settle()

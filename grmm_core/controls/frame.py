@@ -38,6 +38,9 @@ ALIGNED_TO_ARKIT: np.ndarray = EXPRESSIONS_TO_ARKIT[: len(ALIGNED_NAMES)]
 """Its first rows, those of the aligned expressions, [60, 52]."""
 
 
+_SCULPTED = np.ones(len(ARKIT_NAMES), np.float32)
+
+
 class ExpressionBasis(Protocol):
     """The part of `head.HeadModel` that `resolve` needs; `arkit_pose` [52, 5, 3] is read where there is one."""
 
@@ -88,10 +91,8 @@ def resolve(controls: Controls, head: ExpressionBasis, gain: np.ndarray | None =
     Raises:
         ControlError, ShapeError: As `Controls.validate`.
     """
-    clean = controls.validate()
-    arkit = arkit_weights(clean)
-    if gain is not None:
-        arkit = arkit * gain
+    clean, gain = controls.validate(), _SCULPTED if gain is None else gain
+    arkit = arkit_weights(clean) * gain
     expression = arkit @ np.asarray(head.arkit_to_expression, np.float32)  # [E]
     count = expression.shape[0]
     if clean.expression.size > count:
@@ -104,8 +105,7 @@ def resolve(controls: Controls, head: ExpressionBasis, gain: np.ndarray | None =
     aligned, compounds = np.split(clean.aligned, [len(ALIGNED_NAMES)])
     aligned = aligned.copy()
     aligned[: len(ARKIT_NAMES)] += compounds @ EXPRESSIONS_TO_ARKIT[len(ALIGNED_NAMES) :]
-    if gain is not None:
-        aligned[: len(ARKIT_NAMES)] *= gain
+    aligned[: len(ARKIT_NAMES)] *= gain
     return ResolvedControls(expression, pose.astype(np.float32), aligned)
 
 

@@ -131,9 +131,8 @@ def _at_height(groom: Groom, track: PhotoTrack, view: HairView, head: HeadModel)
     pixels = view.camera.project(groom.posed(frames, view.vertices))[1]
     root, strand = frames.at(template)[0], groom.strand_of_point
     down = track.head_down
-    scale = float(
-        np.ptp(view.camera.project(view.vertices)[1] @ down) / np.ptp(view.vertices @ track.turn[:, 1]) / max(down @ down, 0.1)
-    )
+    high, seen = (np.ptp(part) for part in (view.vertices @ track.turn[:, 1], view.camera.project(view.vertices)[1] @ down))
+    scale = float(seen / high / max(down @ down, 0.1))
     moved = root.copy()
     sides = {np.sign(track.landmarks[outline[0], 0] - track.landmarks[BRIDGE, 0]): outline for outline in OUTLINES}
     for side, outline in sides.items():

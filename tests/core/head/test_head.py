@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
+from eyeballs import both, eye_visibility, random_people, sphere
 
 from grmm_core.controls.frame import Controls, resolve
 from grmm_core.controls.names import ARKIT_NAMES, JOINT_NAMES
 from grmm_core.errors import FileAccessError, FileFormatError, ShapeError
 from grmm_core.files.tensorfile import read_tensors, write_tensors
 from grmm_core.geometry.rotations import euler_to_matrix
-from grmm_core.head import arkit_gain, load_open_head, load_people_model, read_head
-from grmm_core.head.closing import CLOSING
+from grmm_core.head import load_open_head, load_people_model, read_head
 from grmm_core.head.open_head import ASSET
 from grmm_core.head.skinning import joint_transforms, posed_vertices
 
 SCULPT_TOLERANCE = 5e-6  # metres; 16-bit rounding of directions gives under 1e-6
-PEOPLE = 12
 
 
 @pytest.fixture(scope="module")
@@ -37,51 +34,6 @@ def pose_head(head, weights, shape=(), pose=None):
     for name, value in weights.items():
         expression[head.expression_index(name)] = value
     return head.vertices(np.asarray(shape, np.float32), expression, head.pose_of(expression, pose))
-
-
-def both(name, value=1.0):
-    return {f"{name}Left": value, f"{name}Right": value}
-
-
-def sphere(points):
-    system = np.c_[2 * points, np.ones(len(points))]
-    solution = np.linalg.lstsq(system, (points**2).sum(1), rcond=None)[0]
-    return solution[:3], np.sqrt(solution[3] + solution[:3] @ solution[:3])
-
-
-def random_people(count=PEOPLE):
-    return np.random.default_rng(7).standard_normal((count, 300)).astype(np.float32)
-
-
-def rays_hit(origins, vertices, triangles, tolerance=1e-6):
-    """For rays along -z from origins [n, 3]: whether any triangle is hit in front of z of the origin minus its length."""
-    a, b, c = (vertices[triangles[:, i]] for i in range(3))
-    area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (b[:, 1] - a[:, 1])
-    keep = np.abs(area) > 1e-12
-    a, b, c, area = a[keep], b[keep], c[keep], area[keep]
-    hit = np.full(len(origins), -np.inf)
-    for i, (x, y, _) in enumerate(origins):
-        u = ((b[:, 0] - x) * (c[:, 1] - y) - (c[:, 0] - x) * (b[:, 1] - y)) / area
-        v = ((c[:, 0] - x) * (a[:, 1] - y) - (a[:, 0] - x) * (c[:, 1] - y)) / area
-        w = 1 - u - v
-        inside = (u >= -tolerance) & (v >= -tolerance) & (w >= -tolerance)
-        if inside.any():
-            hit[i] = (u * a[:, 2] + v * b[:, 2] + w * c[:, 2])[inside].max()
-    return hit
-
-
-def eye_visibility(head, vertices, side):
-    """Share of a grid of points on the front of an eyeball that no skin covers, seen from the front."""
-    part = head.regions[f"{side}_eyeball"]
-    centre, radius = sphere(vertices[part])
-    angle = np.radians(np.arange(-50, 51, 5.0))
-    yaw, pitch = (grid.ravel() for grid in np.meshgrid(angle, angle))
-    front = centre + radius * np.stack([np.sin(yaw) * np.cos(pitch), np.sin(pitch), np.cos(yaw) * np.cos(pitch)], 1)
-    others = np.concatenate([head.regions[name] for name in ("left_eyeball", "right_eyeball", "lashes")])
-    triangles = head.faces[~np.isin(head.faces, others).any(1)]
-    middle = vertices[triangles].mean(1)
-    near = (np.linalg.norm(middle - centre, axis=1) < 0.04) & (middle[:, 2] > centre[2])
-    return float((rays_hit(front, vertices, triangles[near]) < front[:, 2]).mean())
 
 
 # ---- the asset ------------------------------------------------------------------------------------------------------------
@@ -414,53 +366,6 @@ def test_lids_cover_the_eyeballs(head):
             assert eye_visibility(head, closed, side) <= 0.1 * visible
     closed = pose_head(head, both("eyeBlink"))
     assert eye_visibility(head, closed, "left") == eye_visibility(head, closed, "right") == 0
-
-
-def lids_apart(head, vertices):
-    """Lower to upper lid at two places of each eye, metres; less than 0 where they have passed each other, [4]."""
-    points = head.landmark_positions(vertices)
-    return points[[37, 38, 43, 44], 1] - points[[41, 40, 47, 46], 1]
-
-
-def test_a_blink_shuts_eyes_of_any_size_and_half_a_blink_half(head):
-    gains = []
-    for shape in (np.zeros(300), *random_people()):
-        gain = arkit_gain(head, shape)
-        assert (np.delete(gain, [ARKIT_NAMES.index(name) for name in CLOSING]) == 1.0).all()
-
-        def blinking(weight, shape=shape, gain=gain):
-            found = resolve(Controls().set_named(both("eyeBlink", weight)), head, gain)
-            return head.vertices(shape, found.expression, found.pose)
-
-        apart = [lids_apart(head, blinking(weight)) for weight in (0.0, 0.5, 1.0)]
-        assert -0.001 < apart[2].max() < 0.0, "the last place to close is shut by a little"
-        assert apart[2].min() > -0.004, "sculpted blinks go on for up to 6 mm"
-        assert (0.2 * apart[0] < apart[1]).all()
-        assert (apart[1] < 0.6 * apart[0]).all()
-        for side in ("left", "right"):
-            assert eye_visibility(head, blinking(1.0), side) <= 0.1 * eye_visibility(head, blinking(0.0), side)
-        gains.append(gain[ARKIT_NAMES.index("eyeBlinkLeft")])
-    assert max(gains) - min(gains) > 0.1
-
-
-def test_lips_close_by_as_much_as_the_jaw_opens(head):
-    for shape in (np.zeros(300), *random_people()):
-        gain = arkit_gain(head, shape)
-
-        def apart(shape=shape, gain=gain, **weights):
-            found = resolve(Controls().set_named(weights), head, gain)
-            points = head.landmark_positions(head.vertices(shape, found.expression, found.pose))
-            return (points[[61, 62, 63], 1] - points[[67, 66, 65], 1]).mean()
-
-        resting = apart()
-        for weight in (0.15, 0.3, 0.5):
-            left = apart(jawOpen=weight, mouthClose=weight) - min(max(resting, 0.0), 5e-4)
-            assert abs(left) < max(0.0012, abs(min(resting, 0.0))) or left < resting, "lips that rest apart need not touch"
-        assert apart(jawOpen=0.5) - resting > 0.008
-
-
-def test_a_head_without_landmarks_closes_as_it_was_sculpted(head):
-    assert (arkit_gain(replace(head, landmarks68=None), np.zeros(300)) == 1.0).all()
 
 
 # ---- landmarks and people -------------------------------------------------------------------------------------------------

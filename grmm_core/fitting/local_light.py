@@ -205,16 +205,22 @@ def more_fine(seen: Seen, drawn: np.ndarray, fine: np.ndarray) -> np.ndarray:
         drawn: Colors of the texels as the avatar is drawn in the photo's light, display sRGB, [N, 3].
         fine: As it was, [N, 3].
     """
-    off, told = _off(seen, np.asarray(to_linear(np.asarray(drawn, np.float64))))
+    linear = np.asarray(to_linear(np.asarray(drawn, np.float64)))
+    off, told = _off(seen, linear)
     sure = np.clip((told - _SLANT[0]) / (_SLANT[1] - _SLANT[0]), 0.0, 1.0)[:, None]
-    shade = np.log(_factor(FINE_STEP * fine + sure * off, _MOST_FINE_TINT))
+    shade = np.log(_factor(FINE_STEP * fine + sure * off, _MOST_FINE_TINT, np.maximum(linear, _DARKEST)))
     found: np.ndarray = np.round(shade / FINE_STEP).clip(-FINE_MOST, FINE_MOST).astype(np.float32)
     return found
 
 
-def _factor(logarithm: np.ndarray, most_tint: float = _MOST_TINT) -> np.ndarray:
-    """A factor of the light, [V, 3] float32: shade and gloss have hardly another tint than the light around them."""
-    light = logarithm.mean(1, keepdims=True)
+def _factor(logarithm: np.ndarray, most_tint: float = _MOST_TINT, drawn: np.ndarray | float = 1.0) -> np.ndarray:
+    """A factor of the light, [V, 3] float32: shade and gloss have hardly another tint than the light around them.
+
+    Channels tell lightness as much as they have of what is `drawn`, linear RGB [V, 3]: two that are black would ask for light
+    that makes the third glow.
+    """
+    counts = np.broadcast_to(drawn, logarithm.shape)
+    light = (counts * logarithm).sum(1, keepdims=True) / counts.sum(1, keepdims=True)
     tint = (logarithm - light).clip(-most_tint, most_tint)
     factor: np.ndarray = np.exp(light.clip(-_MOST, _MOST) + tint).astype(np.float32)
     return factor

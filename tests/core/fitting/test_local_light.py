@@ -177,6 +177,18 @@ def test_shade_of_a_fold_becomes_fine_light_where_skin_is_seen(texels, places, b
     assert np.abs(more_fine(Seen(colors, shown), even, 60.0 * fine)).max() <= FINE_MOST
 
 
+def test_black_channels_ask_for_no_light_that_makes_the_third_glow():
+    """Deep folds and lids are drawn as a red that no light makes brown: it glowed in the photo's light."""
+    drawn, brown = np.array([[0.08, 0.001, 0.001]]), np.array([[0.04, 0.02, 0.016]])
+    seen = Seen(np.asarray(to_display(brown)), np.ones(1))
+    factor = np.ones((1, 3))
+    for _ in range(2):
+        shown = np.asarray(to_display(drawn * factor))
+        factor = np.exp(FINE_STEP * more_fine(seen, shown, np.log(factor) / FINE_STEP))
+    assert factor[0, 0] < 0.7, "the red is twice as bright as in the photo"
+    assert (factor[0, 1:] < 3.0).all()
+
+
 def test_light_on_the_throat_has_no_lines_and_the_face_keeps_its_edges(head):
     """Every column of faces was told otherwise than the next."""
     points, nothing = Texels.of_vertices(head), Seen(np.full((head.vertex_count, 3), 0.5), np.zeros(head.vertex_count))

@@ -15,7 +15,7 @@ from ..errors import ShapeError
 from ..geometry.camera import Camera
 from ..head.head_model import JOINT_COUNT
 from ..photo.landmarks import HeadLandmarks
-from .landmark_priors import PLACED_SHARE, VIEW_NOISE, View, landmark_modes, landmark_sigmas, make_priors
+from .landmark_priors import PLACED_SHARE, VIEW_NOISE, View, landmark_modes, landmark_sigmas, make_priors, shape_priors
 from .point_rig import LandmarkRig
 from .solver import PhotoProblem, Problem, Solution, Term, camera_of, project, solve
 from .types import LANDMARK_COUNT, PhotoTrack
@@ -132,7 +132,8 @@ def restarted(tracks: Sequence[PhotoTrack], rig: LandmarkRig) -> LandmarkFit:
         units.append(_eye_distance(rest) / np.exp(magnification))
         prior = make_priors(rig.head, track.arkit, camera.fx, camera.width, camera.height)
         term = Term(rig, track.landmarks / scale + origin, np.ones(LANDMARK_COUNT))
-        photos.append(PhotoProblem(camera.width, camera.height, prior, (term,), term))
+        shape_prior = shape_priors(rig.head, prior, track.arkit)
+        photos.append(PhotoProblem(camera.width, camera.height, shape_prior, (term,), term, prior))
     problem = Problem(tuple(photos), center, rig.shape_count, rig.expression_count, len(views[0].noise))
     solution = Solution(tracks[0].shape.astype(np.float64), tuple(views))
     placed = [track.placed_in_photo for track in tracks]
@@ -171,9 +172,10 @@ def with_shape(problem: Problem, start: Solution, limit: int) -> Solution:
     photos, views = [], []
     for photo, view in zip(problem.photos, start.views, strict=True):
         assert photo.seen is not None
+        assert photo.seen_priors is not None
         assert photo.seen.modes is not None
         seen = replace(photo.seen, modes=photo.seen.modes * VIEW_NOISE)
-        photos.append(replace(photo, terms=(seen, *photo.terms[1:])))
+        photos.append(replace(photo, priors=photo.seen_priors, terms=(seen, *photo.terms[1:])))
         views.append(replace(view, noise=np.zeros_like(view.noise)))
     solution = solve(replace(problem, photos=tuple(photos)), replace(start, views=tuple(views)), limit, shape_held=True)
     kept = zip(solution.views, start.views, strict=True)
@@ -210,7 +212,8 @@ def _start(observations: Sequence[Observation], rig: LandmarkRig) -> tuple[Probl
         views.append(View(rotation, offset, magnification, focal, prior.expression_mean.copy(), prior.pose_mean.copy(), noise))
         units.append(_eye_distance(mean) / np.exp(magnification))
         term = Term(rig, item.landmarks[:, :2].astype(np.float64), landmark_sigmas(rig, rotation) * units[-1])
-        photos.append(PhotoProblem(item.width, item.height, prior, (term,), term))
+        shape_prior = shape_priors(rig.head, prior, item.arkit)
+        photos.append(PhotoProblem(item.width, item.height, shape_prior, (term,), term, prior))
     problem = Problem(tuple(photos), center, rig.shape_count, rig.expression_count, len(views[0].noise))
     return problem, Solution(shape, tuple(views)), tuple(units)
 

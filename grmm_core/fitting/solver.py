@@ -63,6 +63,7 @@ class PhotoProblem:
         terms: What its unknowns are to explain, landmarks first.
         seen: Landmarks that camera, pose and expression are to explain in place of the first term once the shape is known;
             None where it is known from the start.
+        seen_priors: Likewise in place of `priors`.
     """
 
     width: int
@@ -70,6 +71,7 @@ class PhotoProblem:
     priors: Priors
     terms: tuple[Term, ...]
     seen: Term | None = None
+    seen_priors: Priors | None = None
 
 
 @dataclass(frozen=True)

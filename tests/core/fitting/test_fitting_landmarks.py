@@ -154,6 +154,23 @@ def test_the_surer_of_the_heads_landmarks_count_more(head, rig):
     assert errors[0] < 0.5 * errors[1]
 
 
+def test_a_mouth_is_as_wide_as_it_looks_where_the_network_reports_no_expression(rig, monkeypatch):
+    """It could be a narrow one that smiles: nothing but what is reported tells the two apart."""
+
+    def width(shape):
+        left, right = rig.positions(shape, np.zeros(100), np.zeros((5, 3)))[[61, 291]]
+        return np.linalg.norm(left - right)
+
+    mean, steps = width(np.zeros(300)), np.eye(300) * 0.1
+    wider = np.array([width(step) for step in steps]) - mean
+    shape = 2.0 * wider / np.linalg.norm(wider)
+    seen, found = observe(rig, shape, np.zeros(100), Camera.orbit(SIZE, SIZE, yaw=6.0, distance=1.2)), []
+    for sigma in (landmark_priors._SHAPE_SIGMA, 1.0):
+        monkeypatch.setattr(landmark_priors, "_SHAPE_SIGMA", sigma)
+        found.append((width(fit_landmarks([seen], rig).shape) - mean) / (width(shape) - mean))
+    assert found[0] > 1.1 * found[1]
+
+
 def test_wrong_landmarks_do_little_harm(head, rig):
     shape, camera = person(7), Camera.orbit(SIZE, SIZE, yaw=-10.0, distance=1.2)
     clean = observe(rig, shape, np.zeros(100), camera)

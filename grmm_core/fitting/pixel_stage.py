@@ -6,9 +6,6 @@ along the gradient only, are further terms of the landmarks' least squares, and 
 to fine. Both pictures are compared without what varies slowly, for light and skin tone are not known exactly. The result is
 kept only where it makes the pictures agree better and the landmarks do not contradict it.
 
-Of several photos the avatar is then painted with what all of them show, eyes and brows too, and they are tracked once more:
-each photo moves to where it agrees with the others. The shape stays: where photos agree says little of what is true of it.
-
 Called by `api` and the evaluation. Imports torch.
 """
 
@@ -33,13 +30,12 @@ from ..photo.parser import parse
 from ..pictures.sampling import bilinear
 from .blurring import blurred
 from .code_stage import Codes, code_prior, fit_codes
-from .decoder_stage import Tuner
 from .landmark_stage import LandmarkFit, finished, restarted, with_shape
 from .objective import decode, draw, relit
 from .person_lights import found_lights, trust_in
 from .photo_targets import FitView, bare_pixels, fit_view
 from .point_rig import LandmarkRig, PointRig
-from .presets import CodeSettings, DecoderSettings
+from .presets import CodeSettings
 from .recoloring import PhotoLight, recolor
 from .solver import Term, solve
 from .surface import Surface, texel_surface
@@ -51,8 +47,6 @@ QUICK = CodeSettings(192, 96, 12, 1, 0, 12)
 """Of the avatar that is compared."""
 SIDE = 384  # pixels of the pictures that are compared
 BLURS = (3.0, 2.0, 1.2)  # pixels, one for each round
-PAINTED_BLURS = (2.0, 1.2, 0.8)  # likewise of several photos, with an avatar that is painted with them
-PAINT_ROUNDS = 3  # of `Tuner.match_colors`
 SLOW = 16.0  # pixels: what varies more slowly is light or tone
 ITERATIONS = 2  # of the least squares in each round
 POINTS = 5000  # texels that are looked at
@@ -66,7 +60,6 @@ HIDDEN = 0.003  # metres behind the mesh's depth that still are its surface
 MOST_LANDMARK_LOSS = 0.03  # eye distances by which the mean landmark error may grow: faces are off by 0.02 as it is
 _REGIONS = ("face", "lips", "ears")  # eyes are where the landmarks are exact, and people differ most
 _NOT = ("mouth_interior", "lashes", "lids")
-_PAINTED_REGIONS = (*_REGIONS, "lids", "brows", "left_eyeball", "right_eyeball")  # on these a person's photos agree
 _GREY, _INSIDE = 0.5, 0.9
 _QUICK_SHARE = 0.5  # of the time
 
@@ -93,12 +86,7 @@ def track_pixels(
     # what a pixel shows does not change while the head moves by a pixel or two: the parser is asked once
     labelled = [replace(track, labels=np.stack(astuple(parse(track, head)))) for track in tracks]
     appearance = _Appearance(labelled, model, info, within(told, 0.0, _QUICK_SHARE))
-    several = len(tracks) > 1
-    end = _QUICK_SHARE + (1.0 - _QUICK_SHARE) * (0.5 if several else 1.0)
-    moved = _rounds(labelled, appearance, rig, BLURS, False, within(told, _QUICK_SHARE, end))
-    if several:  # what one photo's avatar is painted with lies where it was tracked, and tells nothing
-        agreeing = _rounds(moved, appearance, rig, PAINTED_BLURS, True, within(told, end, 1.0))
-        moved = agreeing if _believed(agreeing, tracks) else moved
+    moved = _rounds(labelled, appearance, rig, within(told, _QUICK_SHARE, 1.0))
     if moved is labelled or not _believed(moved, tracks):
         return list(tracks)
     identity = appearance.codes.z_id.cpu().numpy()
@@ -112,28 +100,23 @@ def _believed(moved: Sequence[PhotoTrack], tracks: Sequence[PhotoTrack]) -> bool
     return worse <= MOST_LANDMARK_LOSS
 
 
-def _rounds(
-    tracks: list[PhotoTrack], appearance: _Appearance, rig: LandmarkRig, blurs: Sequence[float], painted: bool, told: Share
-) -> list[PhotoTrack]:
+def _rounds(tracks: list[PhotoTrack], appearance: _Appearance, rig: LandmarkRig, told: Share) -> list[PhotoTrack]:
     """Tracks that agree better with pictures of the avatar, from coarse to fine; `tracks` where they do not."""
     fit, now, differences = restarted(tracks, rig), tracks, []
-    for number, blur in enumerate((*blurs, blurs[0])):
-        told(number / (len(blurs) + 1))
-        if painted:
-            appearance.paint(now)
+    for number, blur in enumerate((*BLURS, BLURS[0])):
+        told(number / (len(BLURS) + 1))
         compared = [appearance.compared(track, index, blur) for index, track in enumerate(now)]
         if not all(len(found.target) for found in compared):
             return tracks
         differences.append(sum(found.difference for found in compared) / len(compared))
-        if number == len(blurs):
+        if number == len(BLURS):
             break
         photos = tuple(
             replace(photo, terms=(*photo.terms, found.term(rig.head, now[index])))
             for index, (photo, found) in enumerate(zip(fit.problem.photos, compared, strict=True))
         )
-        problem, solution = replace(fit.problem, photos=photos), fit.solution
-        if not painted:
-            solution = solve(problem, solution, ITERATIONS)
+        problem = replace(fit.problem, photos=photos)
+        solution = solve(problem, fit.solution, ITERATIONS)
         fit = finished(fit.problem, with_shape(problem, solution, ITERATIONS), fit.units, rig)
         now = [_moved(track, fit, index) for index, track in enumerate(tracks)]
     logger.debug("pixels: differences %s", differences)
@@ -177,11 +160,11 @@ class _Points(NamedTuple):
     barycentric: np.ndarray
 
 
-def _points(model: GRMM, regions: Sequence[str], left_out: Sequence[str]) -> _Points:
-    """Texels of some regions of the head, evenly fewer than there are."""
+def _points(model: GRMM) -> _Points:
+    """Texels of the regions that are compared, evenly fewer than there are."""
     head = model.head_model
     corners = head.faces[model.layout.face]
-    chosen = np.flatnonzero((head.marked(*regions) & ~head.marked(*left_out))[corners].all(1))
+    chosen = np.flatnonzero((head.marked(*_REGIONS) & ~head.marked(*_NOT))[corners].all(1))
     if len(chosen) > POINTS:
         chosen = np.sort(np.random.default_rng(0).choice(chosen, POINTS, replace=False))
     return _Points(model.layout.face[chosen], np.asarray(model.layout.barycentric, np.float64)[chosen])
@@ -201,16 +184,15 @@ class _Appearance:
         was = [parameter.requires_grad for parameter in model.parameters()]
         model.requires_grad_(False)
         try:
-            self.prior = code_prior(info, model)
+            prior = code_prior(info, model)
             with torch.enable_grad():
                 self.codes: Codes = fit_codes(
-                    model, self.prior, large, small, self.surface, self.light, QUICK, lambda share, _: told(share)
+                    model, prior, large, small, self.surface, self.light, QUICK, lambda share, _: told(share)
                 )
         finally:
             for parameter, needed in zip(model.parameters(), was, strict=True):
                 parameter.requires_grad_(needed)
-        self.painted: Tuner | None = None
-        self._points = _points(model, _REGIONS, _NOT)
+        self._points = _points(model)
 
     def views(self, tracks: Sequence[PhotoTrack], side: int, first: int = 0) -> list[FitView]:
         """The photos at a size."""
@@ -222,16 +204,6 @@ class _Appearance:
             for i, track in enumerate(tracks)
         ]  # fmt: skip
 
-    def paint(self, tracks: Sequence[PhotoTrack]) -> None:
-        """Give the avatar what the photos show where they are tracked: the mean of all of them."""
-        settings = DecoderSettings(((SIDE, 0),), False)
-        self.painted = Tuner(
-            self.model, self.prior, self.codes, [self.views(tracks, SIDE)], self.surface, self.light, settings
-        )  # fmt: skip
-        self._points = _points(self.model, _PAINTED_REGIONS, ())
-        self.painted.look_around(0)
-        self.painted.match_colors(0, PAINT_ROUNDS)
-
     @torch.no_grad()
     def drawn(self, view: FitView) -> tuple[np.ndarray, np.ndarray]:
         """The person as tracked over grey, in the photo's light, [H, W, 3], and the posed vertices, [V, 3]."""
@@ -239,10 +211,7 @@ class _Appearance:
         inputs = self.codes.inputs(model, view)
         vertices, decoded = model.mesh(inputs).vertices, decode(model, inputs, view.camera)
         lit = self.light.picture(model, view, vertices, decoded)
-        if self.painted is None:
-            colored = decoded.recolored(recolor(decoded.colors, self.codes.maps, self.surface))
-        else:
-            colored = self.painted.changed(decoded)
+        colored = decoded.recolored(recolor(decoded.colors, self.codes.maps, self.surface))
         picture = relit(draw(model, view.camera, vertices, colored), lit).over((_GREY,) * 3)
         return picture.image.cpu().numpy(), vertices.cpu().numpy().astype(np.float64)
 
@@ -253,8 +222,7 @@ class _Appearance:
         cover = view.mask.cpu().numpy()[..., None]
         photo = view.image.cpu().numpy() * cover + _GREY * (1.0 - cover)
         bare = ((view.measured * view.clear).cpu().numpy() > 0.5).astype(np.float32)  # where light ends is no feature
-        if self.painted is None:
-            bare *= _hairless(track, view, self.model.head_model)
+        bare *= _hairless(track, view, self.model.head_model)
         pixels, told = self._visible(view, vertices, bare)
         ours, theirs = _fast_part(shown, bare, blur), _fast_part(photo, bare, blur)
         points, targets, normals, sigmas, squares = [], [], [], [], []

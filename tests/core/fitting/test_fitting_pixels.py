@@ -109,66 +109,12 @@ def test_pixels_bring_the_head_to_where_the_picture_shows_it(person, truth):
     assert 0.0 <= told[0] <= told[-1] <= 1.0
 
 
-def test_several_photos_are_tracked_to_where_they_agree(person, truth, monkeypatch):
-    """Of somebody with marks that no training person has; another expression in each, and every track errs in its own way."""
-    model, info = person
-    plain = model.decoders.appearance_mean.clone()
-    spots = model.anchor(model.head.v_template).positions * 300.0
-    torch.manual_seed(3)
-    model.decoders.appearance_mean[:, :3] += 0.15 * torch.sin(spots @ torch.randn(3, 3))
-    head = model.head_model
-    smile = truth.expression + 0.5 * head.arkit_to_expression[ARKIT_NAMES.index("mouthSmileLeft")]
-    camera = Camera.orbit(SIZE, SIZE, yaw=-14.0, distance=1.1, fov=23.0)
-    truths = [
-        drawn(model, truth.shape, truth.expression, truth.camera),
-        drawn(model, truth.shape, smile.astype(np.float32), camera),
-    ]
-    model.decoders.appearance_mean.copy_(plain)
-    wrong = [
-        track.landmarks + 1.5 * np.cos(track.landmarks / length) for track, length in zip(truths, (30.0, 50.0), strict=True)
-    ]
-    shape = misled(truth, 0.0).shape
-    starts = [
-        dataclasses.replace(track, shape=shape, landmarks=marks, landmarks_fitted=marks)
-        for track, marks in zip(truths, wrong, strict=True)
-    ]
-    rounds, ends = pixel_stage._rounds, []
-    monkeypatch.setattr(pixel_stage, "_rounds", lambda *given: ends.append(rounds(*given)) or ends[-1])
-    found = track_pixels(starts, model, info)
-    apart, agreeing = ends  # before the avatar is painted with all photos, and after
-    for track, painted in zip(found, agreeing, strict=True):
-        np.testing.assert_array_equal(track.landmarks_fitted, painted.landmarks_fitted)
-
-    def beside(tracks):
-        """Mean distance in pixels by which the photos are tracked otherwise than each other."""
-        errors = [places(track, head) - places(right, head) for track, right in zip(tracks, truths, strict=True)]
-        return float(np.linalg.norm(errors[0] - errors[1], axis=1).mean())
-
-    assert beside(found) < 0.8 * beside(apart)
-    assert sum(map(off, found, truths, [head] * 2)) < 1.25 * sum(map(off, apart, truths, [head] * 2))
-    np.testing.assert_array_equal(found[0].shape, found[1].shape)
-
-
 def test_pixels_that_contradict_the_landmarks_are_not_believed(person, truth, monkeypatch):
     model, info = person
     start = misled(truth, 1.5)
     monkeypatch.setattr(pixel_stage, "MOST_LANDMARK_LOSS", -1.0)
     (kept,) = track_pixels([start], model, info)
     assert kept is start
-
-
-def test_where_photos_agree_against_the_landmarks_they_stay_as_each_was_tracked(person, truth, monkeypatch):
-    model, info = person
-    lost = 2.0 * pixel_stage.MOST_LANDMARK_LOSS * np.ptp(truth.landmarks[:, 0])
-
-    def rounds(tracks, appearance, rig, blurs, painted, told):
-        changes = {"landmarks_fitted": truth.landmarks + lost} if painted else {"expression": 0.5 * truth.expression}
-        return [dataclasses.replace(track, **changes) for track in tracks]
-
-    monkeypatch.setattr(pixel_stage, "_rounds", rounds)
-    for track in track_pixels([truth, truth], model, info):
-        np.testing.assert_array_equal(track.landmarks_fitted, truth.landmarks)
-        np.testing.assert_array_equal(track.expression, 0.5 * truth.expression)
 
 
 def test_a_picture_without_a_face_keeps_its_track(person, truth):

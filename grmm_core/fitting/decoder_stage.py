@@ -28,6 +28,7 @@ from ..model.grmm import GRMM, Attributes, Picture
 from ..model.parameters import EXPRESSION_MAPS
 from ..training.losses import Perceptual
 from .adam import Adam
+from .agreement import agreement
 from .code_stage import CodePrior, Codes, Tick, background
 from .creases import Folding, bringing, crease_colors, folds_brought, own_colors, plain_skin, soft_folds
 from .eye_colors import even_lash_line, eye_angles, plain_eyes
@@ -66,7 +67,7 @@ REFINED_EVERY = 3  # steps of which one has the refined picture's term of eq. 20
 LOCALITY_EVERY = 2  # steps of which one has L_loc, with that much more weight: decoding at another code is a third of a step
 COLOR_ROUNDS, LAST_ROUNDS = 3, 6  # of `Tuner.match_colors` at the beginning of each level, and at the end
 _NEVER_SEEN = 1e-3  # so little texels count as seen that no photo shows
-OWN_ROUNDS = 8  # of `Tuner.differences`
+OWN_ROUNDS, AGREEING_ROUNDS = 8, 4  # of `Tuner.differences`: at the end, and to find out which photos are believed where
 
 
 def start_colors(colors: Tensor, codes: Codes, surface: Surface) -> Tensor:
@@ -137,6 +138,7 @@ class Tuner:
         self.half_seen = torch.where(self.parts | lids, HALF_SEEN_FINE, HALF_SEEN_PIXELS).to(zeros)
         self.seen, self.seen_rim, self.seen_shape, self.seen_by = zeros, zeros, zeros, [zeros] * len(first)
         self.frontal_by = [torch.ones_like(zeros)] * len(first)
+        self.believed = torch.ones(len(first), count).to(zeros)  # `agreement`
 
     @property
     def total(self) -> int:
@@ -209,6 +211,8 @@ class Tuner:
             level, start = self._level()
             if self.step_count == start:
                 self.look_around(level)
+                if level == 0 and len(self.inputs) > 1:
+                    self.compare_photos(level)
                 self.match_colors(level, COLOR_ROUNDS)
             drawn = self.step(level)
             tick(self.step_count / self.total, drawn if self.step_count % 8 == 1 else None)
@@ -272,6 +276,16 @@ class Tuner:
                 change += shares[index, :, None] * self._color_step(level, index, self.attributes(index, variant))
             self.maps["color"] += told * change
 
+    @torch.no_grad()
+    def compare_photos(self, level: int) -> None:
+        """Find out which photos to believe where (`agreement`), on skin: lips and eyes move too much between photos."""
+        self.match_colors(level, COLOR_ROUNDS)
+        shared = self.blended()["color"]
+        alone = torch.stack([shared + own for own in self.differences(level, AGREEING_ROUNDS)])
+        self.believed = torch.where(self.parts, 1.0, agreement(self.surface, alone, torch.stack(self.seen_by)))
+        self.maps["color"].zero_()
+        self.look_around(level)
+
     def _shares(self, told: Tensor) -> Tensor:
         """Shares of the photos in the texels' colors, by what each tells and the variance of its light, both [P, N]."""
         counted = told * self.light.trust[:, None].square()
@@ -287,12 +301,12 @@ class Tuner:
         both = torch.where(excess > 0.0, 0.0, unlit(view.image, light) * drawn.alpha[..., None] - shown)
         return spread_to_colors(self.model, view, self.meshes[index], attributes, both * view.inside[..., None])
 
-    def differences(self) -> list[Tensor]:
-        """What each photo shows otherwise than the colors that all share, [N, 3]."""
-        level, found = len(self.levels) - 1, []
+    def differences(self, level: int = -1, rounds: int = OWN_ROUNDS) -> list[Tensor]:
+        """What each photo shows at a level otherwise than the colors that all share, [N, 3]."""
+        level, found = range(len(self.levels))[level], []
         for index in range(len(self.inputs)):
             base, own = self.attributes(index), torch.zeros_like(self.tint)
-            for _ in range(OWN_ROUNDS):
+            for _ in range(rounds):
                 step = self._color_step(level, index, base.recolored(base.colors + own))
                 own = own + self.seen_by[index][:, None] * step
             found.append(own)
@@ -317,9 +331,10 @@ class Tuner:
             self.frontal_by[index] = frontal
             told = frontal * self.light.tells(index)
             loose, sure = (shown * ((part - CUT[0]) / (CUT[1] - CUT[0])).clamp(0, 1) for part in (share, share_amid))
-            self.seen_by[index] = told * loose / (loose + self.half_seen)
+            rim = told * loose / (loose + self.half_seen)
+            self.seen_by[index] = rim * self.believed[index]
             self.seen = torch.maximum(self.seen, told * sure / (sure + self.half_seen))
-            self.seen_rim = torch.maximum(self.seen_rim, self.seen_by[index])
+            self.seen_rim = torch.maximum(self.seen_rim, rim)
             self.seen_shape = torch.maximum(self.seen_shape, tested / (tested + self.half_seen))
 
     @torch.no_grad()
@@ -428,7 +443,7 @@ class Tuner:
         """Step, what the photos show, parameters and moments of the optimiser, by name: what `restore` takes."""
         tensors = {"step": torch.tensor([self.step_count]), "seen": self.seen}
         tensors |= {"seen_rim": self.seen_rim, "seen_shape": self.seen_shape}
-        tensors |= {"seen_by": torch.stack(self.seen_by), "frontal_by": torch.stack(self.frontal_by)}
+        tensors |= {"seen_by": torch.stack(self.seen_by), "frontal_by": torch.stack(self.frontal_by), "believed": self.believed}
         for number, parameter in enumerate(self._parameters()):
             tensors[f"{number}.value"] = parameter.detach()
             for name, value in self.optimiser.state.get(parameter, {}).items():
@@ -445,7 +460,7 @@ class Tuner:
                 self.optimiser.state[parameter] = {name: tensors[f"{number}.{name}"].clone() for name in names}
         self.seen, self.seen_rim, self.seen_shape = (tensors[name].clone() for name in ("seen", "seen_rim", "seen_shape"))
         self.seen_by, self.frontal_by = list(tensors["seen_by"].clone()), list(tensors["frontal_by"].clone())
-        self.step_count = int(tensors["step"][0])
+        self.believed, self.step_count = tensors["believed"].clone(), int(tensors["step"][0])
 
     def _parameters(self) -> list[Tensor]:
         return [parameter for group in self.optimiser.param_groups for parameter in group["params"]]

@@ -31,7 +31,9 @@ from .groom_finish import STRANDS, finished
 MAX_BYTES = 427_000  # of one before it is compressed: all of them together stay below 9 MB
 BEARD_STRANDS, BEARD_DRAWS = 9000, 4
 CURL = 0.35  # a person's own, where a style has one
-LASH_COUNTS, LASH_POINTS = (90, 42), 6  # of an upper and a lower lid; of a lash
+LASH_COUNTS, LASH_POINTS = (130, 56), 6  # of an upper and a lower lid; of a lash
+LASH_WIDTH = 0.75  # of the studio's, which grows fewer
+LASH_CLUSTER = 3.5  # lashes whose tips join, in the mean: fewer or more at random, for a comb of equal ones is drawn with a pen
 LASH_LENGTHS = (0.003, 0.0045, 0.0062, 0.0055)  # metres of upper lashes at four places: without mascara they hardly show
 # where the package's grooms differ from the studio's: braids so many that no crown is bare between them, curls that hold
 # together, since hair of many directions in one place is seen as a weave; locs of enough points to be seen wound, and fewer,
@@ -150,20 +152,25 @@ def _fanned(groom: Groom, vertices: np.ndarray, head: HeadModel) -> Groom:
             wanted = (np.arange(count) + g.uniform(0.2, 0.8, count)) / count
             chosen = np.unique(np.abs(place[:, None] - wanted).argmin(0))
             own, place = own[chosen], place[chosen]
-            long = np.interp(place, (0.0, 0.2, 0.65, 1.0), LASH_LENGTHS) * g.normal(1.0, 0.1, len(own))
+            cluster = np.cumsum(g.random(len(own)) < 1.0 / LASH_CLUSTER)
+            shared = g.normal(size=(len(own) + 1, 5))[cluster]
+            long = np.interp(place, (0.0, 0.2, 0.65, 1.0), LASH_LENGTHS) * (0.97 + 0.1 * shared[:, 3])
+            long *= 1.0 - 0.55 * g.beta(0.8, 2.4, len(own))  # new ones grow between those that are long
             way = roots[own] - middle
             way /= np.linalg.norm(way, axis=1, keepdims=True)
             way[:, 0] += side * 0.3 * place
-            way += 0.25 * np.repeat(g.normal(0.0, 0.35, (len(own) // 3 + 1, 3)), 3, 0)[: len(own)]  # tips join by threes
-            bend = np.array([0.0, 0.45 if upper else -0.35, 0.0]) * t**2
+            middles = np.array([roots[own[cluster == number]].mean(0) for number in cluster])
+            way += 0.09 * shared[:, :3] + 0.04 * g.normal(size=(len(own), 3))
+            bend = np.array([0.0, 1.0, 0.0]) * t**2 * ((0.45 if upper else -0.35) * (1.0 + 0.25 * shared[:, 4]))[:, None, None]
             scale = (long if upper else 0.5 * long)[:, None, None]
-            points[own] = roots[own, None] + scale * (0.85 * t * way[:, None] + bend)
+            joined = 0.5 * t**1.5 * (middles - roots[own])[:, None]
+            points[own] = roots[own, None] + joined + scale * (0.85 * t * way[:, None] + bend)
             kept.append(own)
     rows = np.sort(np.concatenate(kept))
     some = groom.select(rows)
     return bind(
         head.v_template, head.faces, vertices, some.triangles, some.weights, points[rows].reshape(-1, 3),
-        np.arange(len(rows) + 1) * LASH_POINTS, some.widths, some.groups,
+        np.arange(len(rows) + 1) * LASH_POINTS, LASH_WIDTH * some.widths, some.groups,
     )  # fmt: skip
 
 

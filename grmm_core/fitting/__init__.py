@@ -8,7 +8,7 @@
 ``landmark_priors``    how exact landmarks are, how likely expressions and cameras
 ``landmark_stage``     camera, shape, expression and pose from landmarks
 ``outline``            where the skin ends in a photo: ears and cheeks
-``photo_light``        the light of a photo from the skin's colors
+``photo_light``        the light of a photo from the skin's colors; ``white_balance``: its cast
 ``person_lights``      the lights of all photos of a person, by the colors that they agree on; ``local_light``: what no lamp
                        explains of them; ``fold_light``: shade in narrow folds
 ``photometric_stage``  the refinement by outline
@@ -19,7 +19,8 @@
 ``objective``          attributes drawn into a photo's camera, and their loss
 ``code_stage``         stage 1, the codes (eq. 19); ``recoloring``: the photo's colors and light; ``adam``: the descent
 ``decoder_stage``      stage 2, the decoders (eq. 20); ``locality``, ``surface`` and ``inpainting`` keep and fill in the rest,
-                       ``creases`` binds folds to the expression, ``grain`` carries seen detail on, ``lids`` are of plain skin
+                       ``agreement``: which of several photos is believed where; ``creases`` binds folds to the
+                       expression, ``grain`` carries seen detail on, ``lids`` are of plain skin
 ``hair_light``         hair as the studio's light would show it; ``blurring``: planes of pictures
 ``hair_stage``         a person's hair, for weights without hair; ``hair_view``: what a photo says of it; ``hair_grain``: how
                        strands lie, straight, wavy or coily; ``hair_match``: the groom that photos show; ``hair_shape``: bent

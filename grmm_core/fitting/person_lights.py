@@ -22,6 +22,7 @@ from ..light.turning import turned_light
 from ..model.layout import TexelLayout
 from .photo_light import FEW, Light, PhotoHead, Seen, Shown, seen_skin
 from .types import PhotoTrack
+from .white_balance import cast
 
 _ONE_TONE = 0.3  # that the skin is of one tone, beside 1 for the surest photo where it faces the camera
 _SURE = 0.03  # doubt below which photos count alike
@@ -87,6 +88,10 @@ def found_lights(
         for index, (_, here) in zip(told, several, strict=True):
             lights[index] = lights[index].scaled(common)
             ratios[index] = here.spread(lights[index])
+    tint = cast(lights[told[0]].tone)
+    for index, (_, here) in zip(told, several, strict=True):
+        lights[index] = lights[index].scaled(tint)._replace(tone=lights[index].tone / tint)
+        ratios[index] = here.spread(lights[index])
     every_doubt = np.full(len(lights), doubt.min())
     every_doubt[told] = doubt
     return lights, np.stack(ratios), every_doubt

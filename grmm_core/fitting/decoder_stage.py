@@ -453,6 +453,7 @@ class Tuner:
     @torch.no_grad()
     def restore(self, tensors: dict[str, Tensor]) -> None:
         """Go on from `state`; KeyError or RuntimeError where it is of another model."""
+        self.believed = tensors["believed"].clone()
         for number, parameter in enumerate(self._parameters()):
             parameter.copy_(tensors[f"{number}.value"])
             names = ("step", "exp_avg", "exp_avg_sq")
@@ -460,7 +461,7 @@ class Tuner:
                 self.optimiser.state[parameter] = {name: tensors[f"{number}.{name}"].clone() for name in names}
         self.seen, self.seen_rim, self.seen_shape = (tensors[name].clone() for name in ("seen", "seen_rim", "seen_shape"))
         self.seen_by, self.frontal_by = list(tensors["seen_by"].clone()), list(tensors["frontal_by"].clone())
-        self.believed, self.step_count = tensors["believed"].clone(), int(tensors["step"][0])
+        self.step_count = int(tensors["step"][0])
 
     def _parameters(self) -> list[Tensor]:
         return [parameter for group in self.optimiser.param_groups for parameter in group["params"]]

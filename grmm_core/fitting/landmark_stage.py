@@ -153,6 +153,8 @@ def _weighed(
         if own is not None:
             modes = landmark_modes(view.rotation, placed=True) * unit
             term = replace(seen, target=own.points, sigma=PLACED_SHARE * own.sigma, modes=modes)
+            if len(problem.photos) > 1:  # MediaPipe's err by how a head is turned, and photos must agree with each other
+                seen = replace(seen, target=0.5 * (seen.target + own.points))
         photos.append(replace(photo, terms=(term,), seen=seen))
     # the network errs on a face in much the same way in all its photos: together they tell of the shape what one tells
     return replace(problem, photos=tuple(photos), shape_weight=float(len(photos)))
@@ -161,8 +163,9 @@ def _weighed(
 def with_shape(problem: Problem, start: Solution, limit: int) -> Solution:
     """Camera, expression and pose of each photo for the shape that was found.
 
-    MediaPipe's landmarks are believed, and more than where the shape is looked for: an error that bends the shape is seen in
-    every view and expression, one that moves a brow in its photo only, where nearness is what counts.
+    MediaPipe's landmarks are believed, of several photos the mean of them and the head model's, and more than where the
+    shape is looked for: an error that bends the shape is seen in every view and expression, one that moves a brow in its
+    photo only, where nearness is what counts.
 
     Args:
         problem: What the shape was found by.

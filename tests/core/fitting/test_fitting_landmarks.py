@@ -141,6 +141,16 @@ def test_the_heads_landmarks_tell_the_shape_and_mediapipes_where_the_face_is(hea
     np.testing.assert_allclose(both.landmarks[0].mean(0), found.landmarks[:, :2].mean(0), atol=1.0)
 
 
+def test_of_several_photos_both_kinds_of_landmarks_tell_where_each_face_is(rig):
+    shape, camera, beside = person(4), Camera.orbit(SIZE, SIZE, yaw=12.0, distance=1.2), np.array([9.0, -4.0])
+    found = observe(rig, shape, np.zeros(100), camera)
+    places = found.landmarks[:, :2].copy()
+    found.landmarks[:, :2] += beside
+    told = replace(found, placed=HeadLandmarks(places, np.full(478, 0.01 * eye_distance(found))))
+    fit = fit_landmarks([told, told], rig)
+    np.testing.assert_allclose(fit.landmarks[1].mean(0) - places.mean(0), 0.5 * beside, atol=1.0)
+
+
 def test_the_surer_of_the_heads_landmarks_count_more(head, rig):
     shape, camera, sure = person(5), Camera.orbit(SIZE, SIZE, yaw=-8.0, distance=1.2), np.arange(478) % 2 == 0
     found = observe(rig, shape, np.zeros(100), camera)

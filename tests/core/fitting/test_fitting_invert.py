@@ -15,6 +15,7 @@ from grmm_core.controls.frame import Controls, resolve
 from grmm_core.controls.names import ALIGNED_NAMES
 from grmm_core.errors import CancelledError, ConfigError, FileFormatError, ShapeError
 from grmm_core.fitting.code_stage import code_prior
+from grmm_core.fitting.decoder_stage import Tuner
 from grmm_core.fitting.invert import invert, photo_errors, photo_pictures
 from grmm_core.fitting.locality import Locality, code_distances
 from grmm_core.fitting.objective import decode, draw, photo_inputs
@@ -168,9 +169,25 @@ def test_several_photos_of_other_exposure_make_one_person(person):
     assert photo_errors(photo_pictures(tuned, between, unseen, SIZE))[0] < 0.06
 
 
+def test_a_shadow_that_one_of_two_photos_shows_alone_is_less_on_the_person(person, monkeypatch):
+    model, info, z_id = person
+    clean = photo(model, z_id, yaw=8.0)
+    image = clean.image.copy()
+    image[36:56, 40:56] *= 0.6
+    other, shadowed = photo(model, z_id, yaw=-8.0), dataclasses.replace(clean, image=image)
+
+    def error(second):
+        avatar = invert([other, second], model, model.head_model, QUICK, info=info)
+        return photo_errors(photo_pictures(with_deltas(model, avatar.deltas, "avatar"), avatar, [clean], SIZE))[0]
+
+    least, believed_less = error(clean), error(shadowed)
+    monkeypatch.setattr(Tuner, "compare_photos", lambda self, level: None)
+    assert believed_less - least < 0.85 * (error(shadowed) - least)
+
+
 def test_cancel_leaves_a_state_from_which_the_fit_goes_on_to_the_same_result(person, tmp_path):
     model, info, z_id = person
-    tracks = [photo(model, z_id, brown=0.3)]
+    tracks = [photo(model, z_id, brown=0.3), photo(model, z_id, yaw=12.0)]
     whole = invert(tracks, model, model.head_model, TUNING, info=info)
     seen: list[Progress] = []
     stages = FIT.only(("codes", "decoders"))

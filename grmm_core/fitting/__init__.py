@@ -19,8 +19,8 @@
 ``objective``          attributes drawn into a photo's camera, and their loss
 ``code_stage``         stage 1, the codes (eq. 19); ``recoloring``: the photo's colors and light; ``adam``: the descent
 ``decoder_stage``      stage 2, the decoders (eq. 20); ``locality``, ``surface`` and ``inpainting`` keep and fill in the rest,
-                       ``agreement``: which of several photos is believed where; ``creases`` binds folds to the
-                       expression, ``grain`` carries seen detail on, ``lids`` are of plain skin
+                       ``agreement``: which of several photos is believed where; ``even_tint``: which tints are light's;
+                       ``creases`` binds folds to the expression, ``grain`` carries seen detail on, ``lids`` are plain
 ``hair_light``         hair as the studio's light would show it; ``blurring``: planes of pictures
 ``hair_stage``         a person's hair, for weights without hair; ``hair_view``: what a photo says of it; ``hair_grain``: how
                        strands lie, straight, wavy or coily; ``hair_match``: the groom that photos show; ``hair_shape``: bent

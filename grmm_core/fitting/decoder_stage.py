@@ -31,6 +31,7 @@ from .adam import Adam
 from .agreement import agreement
 from .code_stage import CodePrior, Codes, Tick, background
 from .creases import Folding, bringing, crease_colors, folds_brought, own_colors, plain_skin, soft_folds
+from .even_tint import even_tint
 from .eye_colors import even_lash_line, eye_angles, plain_eyes
 from .fold_light import FoldShade
 from .inpainting import amid_own, corners_of, facing, fill_colors, gone_on, known_of, unclipped, uncut
@@ -111,6 +112,8 @@ class Tuner:
             self.inputs = [codes.inputs(model, view) for view in first]
             self.meshes = [model.mesh(inputs).vertices for inputs in self.inputs]
             self.decoded = [decode(model, inputs, view.camera) for inputs, view in zip(self.inputs, first, strict=True)]
+            mean_person = replace(self.inputs[0], z_id=prior.mean, z_exp=torch.zeros_like(self.inputs[0].z_exp))
+            self.mean_person = decode(model, mean_person, first[0].camera).colors
             self.tint = start_colors(self.decoded[0].colors, codes, surface) - self.decoded[0].colors  # [N, 3]
         count = model.gaussian_count
         self.maps = {
@@ -350,7 +353,8 @@ class Tuner:
             maps["color"] = fill_colors(self.surface, prior, start, maps["color"], self.seen, folded, self._hairy())
             share = lid_share(self.model, self.levels[0][0])
             known = known_of(self.seen)
-            colors = plain_lids(self.surface, start + maps["color"], prior, share, known)
+            colors = even_tint(self.surface, start + maps["color"], self.mean_person, known)
+            colors = plain_lids(self.surface, colors, prior, share, known)
             colors = even_lash_line(*lash_line(self.model), colors, prior, known)
             maps["color"] = plain_eyes(angles, colors, decoded, known_of(self.seen_rim), known) - start
             maps["opacity"] = self.surface.fill(maps["opacity"], self.seen_shape, rest=SHAPE_REST)

@@ -14,7 +14,7 @@ import numpy as np
 from ..errors import ShapeError
 from ..geometry.camera import Camera
 from ..head.head_model import JOINT_COUNT
-from ..photo.landmarks import HeadLandmarks
+from ..photo.landmarks import EYE_CORNERS, HeadLandmarks
 from .landmark_priors import PLACED_SHARE, VIEW_NOISE, View, landmark_modes, landmark_sigmas, make_priors, shape_priors
 from .point_rig import LandmarkRig
 from .solver import PhotoProblem, Problem, Solution, Term, camera_of, project, solve
@@ -23,7 +23,6 @@ from .types import LANDMARK_COUNT, PhotoTrack
 logger = logging.getLogger(__name__)
 
 CAMERA_ITERATIONS, ITERATIONS = 8, 30
-_EYE_CORNERS = (33, 263)
 
 
 @dataclass(frozen=True)
@@ -186,7 +185,7 @@ def with_shape(problem: Problem, start: Solution, limit: int) -> Solution:
 
 
 def _eye_distance(landmarks: np.ndarray) -> float:
-    return float(np.linalg.norm(landmarks[_EYE_CORNERS[1]] - landmarks[_EYE_CORNERS[0]]))
+    return float(np.linalg.norm(landmarks[EYE_CORNERS[1]] - landmarks[EYE_CORNERS[0]]))
 
 
 def finished(problem: Problem, solution: Solution, units: tuple[float, ...], rig: LandmarkRig) -> LandmarkFit:

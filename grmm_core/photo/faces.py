@@ -22,7 +22,7 @@ from torch.nn import functional
 
 from ..controls.names import ARKIT_NAMES
 from ..errors import NoFaceError
-from .landmarks import LANDMARK_COUNT
+from .landmarks import EYE_CORNERS, LANDMARK_COUNT
 from .networks import load_networks
 
 DETECTOR_SIZE = 128
@@ -48,7 +48,6 @@ _BLENDSHAPE_LANDMARKS = (
     336, 338, 356, 361, 362, 365, 373, 374, 375, 377, 378, 379, 380, 381, 382, 384, 385, 386, 387, 388, 389, 390, 397, 398,
     400, 402, 405, 409, 415, 454, 466, 468, 469, 470, 471, 472, 473, 474, 475, 476, 477,
 )  # fmt: skip
-_EYE_CORNERS = (33, 263)  # outer corners: subject's right, left
 
 
 @dataclass(frozen=True)
@@ -88,7 +87,7 @@ class Face:
     @property
     def eye_distance(self) -> float:
         """Distance of the outer eye corners in pixels."""
-        right, left = self.landmarks[list(_EYE_CORNERS), :2]
+        right, left = self.landmarks[list(EYE_CORNERS), :2]
         return float(np.linalg.norm(left - right))
 
 
@@ -178,9 +177,14 @@ def follow_face(pixels: Tensor, face: Face) -> Face:
     return _face(pixels, points, presence, face.score)
 
 
+def landmarks_near(pixels: Tensor, points: np.ndarray) -> np.ndarray:
+    """The landmarks of a face that lies about where points [478, 2 or 3] are, [478, 3] as of `Face`."""
+    return _landmarks_in(pixels, Region.around(points))[0]
+
+
 def _extent(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """Centre [2] and size [2] of the upright box around landmarks, and how far it is turned."""
-    right, left = points[_EYE_CORNERS[0], :2], points[_EYE_CORNERS[1], :2]
+    right, left = points[EYE_CORNERS[0], :2], points[EYE_CORNERS[1], :2]
     angle = math.atan2(left[1] - right[1], left[0] - right[0])
     low, high = _extent_along(points[:, :2], angle)
     return _rotate((low + high) / 2.0, angle), high - low, angle

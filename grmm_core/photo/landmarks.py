@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 LANDMARK_COUNT = 478
+EYE_CORNERS = (33, 263)  # outer corners: subject's right, left
 
 
 @dataclass(frozen=True)

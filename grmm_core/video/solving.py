@@ -21,6 +21,7 @@ from ..fitting.solver import PhotoProblem, Problem, Solution, Term, project, sol
 from ..head import arkit_gain
 from ..head.head_model import JOINT_COUNT
 from ..jobs.progress import Share
+from ..photo.landmarks import EYE_CORNERS
 from .actor import Actor, observation, roll_of
 from .following import Followed
 
@@ -29,7 +30,6 @@ FIRST_STEPS = 10  # where no frame before says where to begin
 _FOCAL_SIGMA = 1e-4  # of the logarithm: it is the camera's
 _BLINK, _BLINK_SIGMA = 1.0, 0.04  # share of what is reported, and how far it is believed
 _BROW_SIGMA = 0.4  # reported brows move by less than two thirds of what landmarks do
-_EYE_CORNERS = (33, 263)
 _TO_HEAD = np.diag([1.0, -1.0, -1.0])  # a camera's axes (y down, z forward) to the axes of a head that looks into it
 
 
@@ -60,7 +60,7 @@ def solve_frames(followed: Followed, actor: Actor, rig: LandmarkRig, progress: S
     """
     person = rig.of_person(actor.shape, arkit_gain(rig.head, actor.shape))
     rest = person.positions(np.zeros(0), np.zeros(len(ARKIT_NAMES)), np.zeros((JOINT_COUNT, 3)))
-    center, eyes = rest.mean(0), float(np.linalg.norm(np.subtract(*rest[list(_EYE_CORNERS)])))
+    center, eyes = rest.mean(0), float(np.linalg.norm(np.subtract(*rest[list(EYE_CORNERS)])))
     count = len(followed.times)
     weights, rotation = np.zeros((count, len(ARKIT_NAMES))), np.tile(np.eye(3), (count, 1, 1))
     error = np.full(count, np.nan)

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from grmm_core.evaluation.cleanliness import Shot
-from grmm_core.evaluation.photo_fits import likeness
+from grmm_core.evaluation.photo_fits import drawn_landmarks, likeness
 from grmm_core.head.open_head import load_open_head
+from grmm_core.photo.faces import find_faces
+from grmm_core.photo.load import load_photo
 
 
 class Brightness:
@@ -51,3 +53,16 @@ def test_figures_are_of_a_face_at_rest_from_the_front_and_both_sides():
     assert front.shape == (478, 2)
     assert 0 < left[0] < right[0] < 512
     assert abs(left[1] - right[1]) < 5.0
+
+
+def test_landmarks_of_the_drawn_avatar_are_compared_with_those_of_the_photo(photo_file):
+    image = load_photo(photo_file("astronaut")).pixels
+    face = find_faces(image)[0]
+    track = SimpleNamespace(image=image, mask=np.ones(image.shape[:2], np.float32), landmarks=face.landmarks, camera=None)
+    moved = int(face.eye_distance / 20)  # pixels
+
+    def off(picture):
+        return drawn_landmarks(track, SimpleNamespace(photo=lambda camera: SimpleNamespace(rgb=picture)))["landmarks_drawn"]
+
+    assert off(image) == 0.0
+    assert off(np.roll(image, moved, axis=1)) == pytest.approx(moved / face.eye_distance, rel=0.15)

@@ -3,8 +3,8 @@
 A photo's light is found by what varies with the normals and by what is wide, and where two lamps differ in color some of their
 tints stay in the skin: an orange middle of the face beside grey cheeks, yellow lids, blue noses. Skin that no photo shows has
 the prior's tint beside it. Here the tint of all skin, the logarithm of its linear color less the mean of the channels, is
-compared with that of the mean person: what a face has beyond that is kept as far as people have it, of what no photo shows
-nothing. The photos' lights take what goes (`settling.locally_lit`).
+compared with that of the mean person: what a face has beyond that is kept as far as people have it, and likewise what that skin
+which no photo shows has beyond the skin that one shows. The photos' lights take what goes (`settling.locally_lit`).
 
 Called by `decoder_stage`. Imports torch.
 """
@@ -43,13 +43,18 @@ def even_tint(surface: Surface, colors: Tensor, mean_person: Tensor, known: Tens
     own, mean, amid = _mean_around(surface, torch.cat(columns, 1), plain, WIDTH_TEXELS).split(3, 1)
     wide = amid * (_tint(own) - _tint(mean))
     wide = wide - torch.quantile(wide[seen > _SEEN], 0.5, dim=0)
-    strength = float((seen[:, None] * wide.square()).sum() / (3.0 * seen.sum()))
-    share = min(1.0, PEOPLE**2 / max(strength, 1e-9))
     gone_on, near = _mean_around(surface, wide, seen, REACH_TEXELS).split(3, 1)
-    here = surface.smooth(seen[:, None], WIDTH_TEXELS).clamp(0, 1)
-    kept = share * torch.lerp(near * gone_on, wide, here)
+    told, guessed = _of_people(wide, seen), near * gone_on
+    guessed = told * guessed + _of_people(wide - guessed, plain * (1.0 - known)) * (wide - guessed)
+    kept = torch.lerp(guessed, told * wide, surface.smooth(seen[:, None], WIDTH_TEXELS).clamp(0, 1))
     changed = colors + to_display(columns[0] * torch.exp(kept - wide)) - to_display(columns[0])
     return torch.where(skin[:, None], changed, colors)
+
+
+def _of_people(tints: Tensor, weights: Tensor) -> float:
+    """Which share of tints [N, 3] is a person's, by how strong they are where weights [N] are."""
+    strength = float((weights[:, None] * tints.square()).sum() / (3.0 * weights.sum()).clamp(min=1e-6))
+    return min(1.0, PEOPLE**2 / max(strength, 1e-9))
 
 
 def _tint(linear: Tensor) -> Tensor:

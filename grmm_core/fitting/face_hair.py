@@ -13,12 +13,12 @@ import numpy as np
 import torch
 
 from ..geometry.zbuffer import EMPTY, triangle_depth
+from ..hair.brows import FULLEST_BROWS, lowered
 from ..hair.coloring import HairView, hiding_faces, with_colors
-from ..hair.groom import Groom, bind
+from ..hair.groom import Groom
 from ..hair.packaged import library_groom
 from ..hair.roots import BEARD, BROWS
 from ..hair.settings import HairSettings
-from ..head.flame_align import closest_on_surface
 from ..photo.glasses import worn_glasses
 from ..photo.lenses import BROWS as OUTLINES
 from ..photo.parser import MESH_PARTS, PhotoParts, part_map
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from ..head import HeadModel
     from .types import PhotoTrack
 
-FULLEST = {"brows": "bushy", "beard": "full"}
+FULLEST = {"brows": FULLEST_BROWS, "beard": "full"}
 SHORT_BEARD = "short"
 LIKELY = 0.5  # of a pixel
 HANGING, BELOW = 0.08, 0.5  # of a beard's pixels outside the bald head, or on the throat as well: from here on it is long
@@ -40,7 +40,7 @@ REACH, AROUND = 0.006, 0.05  # of the head's height: beside the mesh's brows, an
 DARK, BROWN, DARKEST = (0.15, 0.3), 1 / 3, 0.9
 SHADE = 0.015  # of the head's height: around hair, which is dark there, too
 LOWER = (-0.004, 0.009)  # metres by which brows may be moved down; the mesh's are high
-BRIDGE, AROUND_BROWS = 168, 0.008  # landmark between the brows; metres around them in which skin is looked for
+BRIDGE = 168  # landmark between the brows
 ARCH = 0.005  # of the head's height: how far beside the landmarks' brows a brow may be
 KEPT = (0.15, 0.65)  # of a strand's cover by what the photo shows, from one strand to the next
 FEWEST = 0.05  # of the strands; fewer are no beard, and were no brows, whose place the plainest groom takes
@@ -129,25 +129,18 @@ def _at_height(groom: Groom, track: PhotoTrack, view: HairView, head: HeadModel)
     template, faces = np.asarray(head.v_template, np.float64), np.asarray(head.faces)
     frames = groom.frames(template, faces)
     pixels = view.camera.project(groom.posed(frames, view.vertices))[1]
-    root, strand = frames.at(template)[0], groom.strand_of_point
+    strand = groom.strand_of_point
     down = track.head_down
     high, seen = (np.ptp(part) for part in (view.vertices @ track.turn[:, 1], view.camera.project(view.vertices)[1] @ down))
     scale = float(seen / high / max(down @ down, 0.1))
-    moved = root.copy()
+    lower = np.zeros(len(groom))
     sides = {np.sign(track.landmarks[outline[0], 0] - track.landmarks[BRIDGE, 0]): outline for outline in OUTLINES}
     for side, outline in sides.items():
         own = np.sign(pixels[groom.offsets[:-1], 0] - track.landmarks[BRIDGE, 0]) == side
         if own.any():
-            lower = (track.landmarks[list(outline), :2].mean(0) - pixels[own[strand]].mean(0)) @ down / max(scale, 1e-6)
-            moved[own, 1] -= np.clip(lower, *LOWER)
-    skin = np.flatnonzero(~(head.marked("lashes") | head.marked("left_eyeball") | head.marked("right_eyeball"))[faces].any(1))
-    middles = template[faces[skin]].mean(1)
-    near = (middles > moved.min(0) - AROUND_BROWS) & (middles < moved.max(0) + AROUND_BROWS)
-    skin = skin[near.all(1)]
-    triangles, weights, _ = closest_on_surface(moved, template, faces[skin])
-    placed = (template[faces[skin[triangles]]] * weights[..., None]).sum(1)
-    points = groom.posed(frames, template) + (placed - root)[strand]
-    return bind(template, faces, template, skin[triangles], weights, points, groom.offsets, groom.widths, groom.groups)
+            off = (track.landmarks[list(outline), :2].mean(0) - pixels[own[strand]].mean(0)) @ down / max(scale, 1e-6)
+            lower[own] = np.clip(off, *LOWER)
+    return lowered(groom, head, lower)
 
 
 def _near(plane: np.ndarray, reach: float) -> np.ndarray:

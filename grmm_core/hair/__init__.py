@@ -17,7 +17,7 @@ The map:
     roots.py      frames at the roots that turn with the skin
     attach.py     `groom_from_curves`
     body.py       what strands stay outside of, with the hull of the ears
-    lashes.py     lashes that go with their lids
+    lashes.py     lashes that go with their lids;  brows.py   brows at a person's height
     settings.py   `HairSettings`, `SETTINGS`
     compact.py    a groom in few bytes; packaged.py   the package's grooms
     prior.py      a code of few numbers that gives grooms between those seen; hair at random

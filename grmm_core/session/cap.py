@@ -11,7 +11,7 @@ class Cap(NamedTuple):
     Attributes:
         share: How flat it is laid, 0..1 [N].
         color: What it takes on there, display sRGB [N, 3].
-        shade: What strands that lie over it leave of its own color elsewhere, 0..1 [N, 1].
+        shade: What strands that lie over it leave of its own color elsewhere, 0..1, times what bares painted hair, [N, 1 or 3].
     """
 
     share: Any

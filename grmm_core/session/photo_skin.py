@@ -1,7 +1,8 @@
-"""How far what a photo shows of skin under its own hair still holds: not where that hair is cut off, thinned or dyed.
+"""How far what a photo shows of skin under its own hair still holds: not where that hair is cut off, thinned, dyed or another.
 
-A fitted person's texels show the photo's hair at temples, hairline and nape. Under the same strands they belong there; a host's
-curves may have lost some of these, and the panel's sliders give them another color. Called by `wardrobe`.
+A fitted person's texels show the photo's hair at temples, hairline and nape, and brows and beard where these are. Under the
+same strands they belong there; a host's curves may have lost some of these, the panel's sliders give them another color, and
+other brows or none bare the skin. Called by `wardrobe`.
 """
 
 from __future__ import annotations
@@ -16,14 +17,19 @@ from ..hair.roots import SCALP
 from ..hair.settings import HairSettings
 from ..head import HeadModel
 from ..pictures.color import linear_to_srgb
-from .evaluator import OpenAvatar
-from .scalp import ramp, smoothed
+from .evaluator import Evaluator, Inputs, OpenAvatar
+from .scalp import places_of, ramp, seen_colors, smoothed
 
 REACH = 0.02  # metres of a strand from its root on that cover the skin there
 SPREAD = 6  # triangles over which roots count: painted hair lies beside them, too
 FEW = 0.05  # of the middle density of roots: where there are fewer, nothing of a photo's hair is missed
 GONE, THERE = 0.2, 0.7  # of what covers the skin: up to where the photo's hair is gone, and from where on it is there
 ALIKE, UNLIKE = 0.04, 0.16  # of full brightness, by which hair may differ from the photo's before its paint is not hair's
+THIN = 0.02  # of a texel by the scalp, up to which it is none
+PLUCKED = (0.004, 0.009)  # metres from roots of brows or a beard: up to the first skin is theirs, from the second on not
+DARKER = (0.97, 0.85)  # of the skin around: from how dark on skin there is painted hair, and wholly
+NEAR, SAMPLES = 0.012, 1500  # metres over which that skin is smoothed; texels of it
+LEAST = 0.02  # display color that may be that of hair
 
 
 def still_there(target: OpenAvatar, photo: Groom | None, worn: Sequence[Groom], settings: HairSettings) -> np.ndarray:
@@ -49,6 +55,39 @@ def as_found(settings: HairSettings, photo: HairSettings) -> float:
     """How far hair has the color that it has in the photo, 0..1."""
     colors = [linear_to_srgb(albedos(one, np.zeros(1), np.full((1, 2), 0.5))[0].mean(0)) for one in (settings, photo)]
     return float(ramp(np.abs(colors[0] - colors[1]).max(), UNLIKE, ALIKE))
+
+
+def plucked(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, gone: Groom) -> np.ndarray:
+    """Factor of display colors that makes plain skin of what a photo painted of hair on the face that is not worn, [N, 3].
+
+    Args:
+        evaluator: Of the session.
+        target: Made from photos.
+        inputs: At rest.
+        gone: Its own brows, beard, or both.
+    """
+    head, places, seen = target.model.head_model, places_of(target), seen_colors(evaluator, target, inputs, 1.0)
+    template = np.asarray(head.v_template, np.float64)
+    roots = gone.frames(template, head.faces).at(template)[0].astype(np.float32)
+    low, high = roots.min(0) - PLUCKED[1], roots.max(0) + PLUCKED[1]
+    there = np.flatnonzero(places.outer & ((places.points > low) & (places.points < high)).all(1))
+    zone, color = np.zeros(len(seen), np.float32), seen.copy()
+    apart = [np.sqrt(((places.points[part, None] - roots) ** 2).sum(2).min(1)) for part in _parts(there)]
+    zone[there] = ramp(np.concatenate(apart), *PLUCKED[::-1]) if apart else 0.0
+    bare = np.flatnonzero(places.skin & (places.scalp < THIN) & (zone <= 0.0))
+    bare = bare[:: max(1, len(bare) // SAMPLES)]
+    there = there[zone[there] > 0.0]
+    for part in _parts(there):
+        near = 1.0 / (((places.points[part, None] - places.points[bare]) ** 2).sum(2) + NEAR**2) ** 2
+        color[part] = (near @ seen[bare]) / near.sum(1, keepdims=True)
+    dark = ramp(seen.mean(1) / np.maximum(color.mean(1), 1e-4), *DARKER)
+    own, plain = (linear_to_srgb(part).clip(LEAST, 1.0) for part in (seen, color))
+    factor: np.ndarray = 1.0 + (zone * dark)[:, None] * (plain / own - 1.0)
+    return factor.astype(np.float32)
+
+
+def _parts(rows: np.ndarray) -> list[np.ndarray]:
+    return [part for part in np.array_split(rows, max(1, len(rows) // 2048)) if len(part)]
 
 
 def _roots(head: HeadModel, grooms: Sequence[Groom]) -> np.ndarray:

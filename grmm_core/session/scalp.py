@@ -52,7 +52,7 @@ _NOT_SKIN = ("lips", "brows", "lids", "lashes", "mouth_interior", "left_eyeball"
 _ISLAND = 0
 
 
-class _Places(NamedTuple):
+class Places(NamedTuple):
     """Texels on the mean head.
 
     Attributes:
@@ -97,8 +97,8 @@ def bare_skin(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, own: boo
 
     With its `own` strands, what a photo painted under these stays.
     """
-    places = _places(target)
-    seen = _seen(evaluator, target, inputs, 1.0)
+    places = places_of(target)
+    seen = seen_colors(evaluator, target, inputs, 1.0)
     hairless, bare = target.model.config.hairless, np.zeros(len(seen), np.float32)
     if hairless and own:
         return Skin(places.scalp.astype(np.float32), seen, bare)
@@ -132,7 +132,7 @@ def bare_skin(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, own: boo
     usual = np.maximum(color.mean(1), 1e-4)
     dark = ramp(bright / usual, DARK[0], DARK[1])
     if hairless:  # only a photo paints its hair there, of any color, with soft borders; else the scalp is shaven
-        sides = seen, _seen(evaluator, target, inputs, -1.0)  # the inner side of an open bust is in the dark, and no hair
+        sides = seen, seen_colors(evaluator, target, inputs, -1.0)  # the inner side of an open bust is in the dark, and no hair
         if photo:
             dark = np.minimum(*(ramp(np.abs(side - color).max(1) / usual, *OTHER) for side in sides))
         else:
@@ -143,7 +143,7 @@ def bare_skin(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, own: boo
     return Skin(np.maximum(share, dark * around).astype(np.float32), color, bare)
 
 
-def _seen(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, ahead: float) -> np.ndarray:
+def seen_colors(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, ahead: float) -> np.ndarray:
     """Colors [N, 3] of the texels, linear RGB, seen from before the face, or from behind where `ahead` is -1."""
     colors = evaluator.appearance(target, inputs, np.array([0.0, 0.0, ahead], np.float32))[0]
     return srgb_to_linear(to_numpy(colors).clip(0.0, 1.0)).astype(np.float32)
@@ -169,7 +169,7 @@ class Covered(NamedTuple):
 
 def covered(target: OpenAvatar, blocks: Sequence[StrandBlock]) -> Covered:
     """Find what strands cover, whatever their settings."""
-    places, head = _places(target), target.model.head_model
+    places, head = places_of(target), target.model.head_model
     cover, light = ((part[places.corners] * places.weights).sum(1) for part in _under_hair(head, blocks))
     where = head, places.points, places.corners, places.weights, blocks
     shaded = tuple(beneath(*where, group, SHADING) * places.outer for group in SHADED)
@@ -238,14 +238,15 @@ def smoothed(values: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.where(number > 0, total / np.maximum(number, 1), values)
 
 
-_KNOWN: Recent[_Places] = Recent(2)
+_KNOWN: Recent[Places] = Recent(2)
 """All avatars of the same weights have the same."""
 
 
-def _places(target: OpenAvatar) -> _Places:
+def places_of(target: OpenAvatar) -> Places:
+    """Where an avatar's texels are."""
     head, layout = target.model.head_model, target.model.layout
 
-    def make() -> _Places:
+    def make() -> Places:
         corners = np.asarray(head.faces)[layout.face]
 
         def share(*names: str) -> np.ndarray:
@@ -258,7 +259,7 @@ def _places(target: OpenAvatar) -> _Places:
         outer = np.asarray(head.uv_islands)[layout.face] == _ISLAND
         beside = np.maximum(ramp(points[:, 2], *BESIDE), ramp(points[:, 1], *FOREHEAD))
         skin = outer & (share(*SKIN) > 0.99) & (share(*_NOT_SKIN) < 0.01)
-        return _Places(
+        return Places(
             points.astype(np.float32),
             corners,
             layout.barycentric,

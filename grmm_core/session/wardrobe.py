@@ -19,6 +19,7 @@ from ..errors import ShapeError
 from ..geometry.camera import Camera
 from ..geometry.libraries import to_numpy, zeros
 from ..hair.body import on_person
+from ..hair.brows import FULLEST_BROWS, at_height_of
 from ..hair.contact import moved as displaced
 from ..hair.drawing import Hiding, level_shares, nearer, raised_by, strand_gaussians
 from ..hair.groom import Groom, join
@@ -27,7 +28,7 @@ from ..hair.packaged import HEAD, library_groom
 from ..hair.prior import random_groom
 from ..hair.ready import ready, strands_of
 from ..hair.ribbons import Eye
-from ..hair.roots import BEARD, GROUPS, LASHES, SCALP
+from ..hair.roots import BEARD, BROWS, GROUPS, LASHES, SCALP
 from ..hair.settings import HairSettings
 from ..hair.shoulders import Shoulders
 from ..hair.strands import DENSE, StrandBlock, means_between
@@ -37,7 +38,7 @@ from .cap import Cap
 from .engines import Engine
 from .evaluator import FRONT, Evaluator, Inputs, OpenAvatar, at_rest
 from .hollow import SKIN_ISLAND, from_far, without_inside
-from .photo_skin import as_found, still_there
+from .photo_skin import as_found, plucked, still_there
 from .scalp import Covered, Skin, bare_skin, cap_color, covered, shade, shadow
 from .wearing import GROOM_PREFIX, NO_HAIR, OWN_HAIR, PARTS, PUT_PREFIX, RANDOM_PREFIX, USUAL, HairUse
 
@@ -85,6 +86,7 @@ class Worn:
             shade the skin.
         own: The hair is that of the avatar's file, or was made of it.
         photo: It is also that of a photo, which shows the skin under it.
+        gone: Brows and beard of a photo that are not worn; it has painted the skin under them. None where there are none.
     """
 
     layers: tuple[Layer, ...]
@@ -92,6 +94,7 @@ class Worn:
     flat: bool
     own: bool
     photo: bool
+    gone: Groom | None = None
 
     @property
     def key(self) -> tuple[str, ...]:
@@ -106,6 +109,7 @@ class Wardrobe:
         self._engine = engine
         self._put: dict[str, tuple[str, Groom]] = {}
         self._ready: dict[tuple[Hashable, ...], tuple[StrandBlock, ...]] = {}
+        self._placed: dict[tuple[Hashable, ...], Groom] = {}
         self._lashes: dict[tuple[Hashable, ...], Lashes | None] = {}
 
     def put(self, name: str, version: str, groom: Groom) -> str:
@@ -128,8 +132,7 @@ class Wardrobe:
             if group == SCALP or name == NO_HAIR:
                 continue
             if name != OWN_HAIR:
-                name = name.removeprefix(GROOM_PREFIX)
-                found.append(Layer((part, name), library_groom(name, head, part)))
+                found.append(self._package(target, part, name.removeprefix(GROOM_PREFIX)))
             elif main is not None and (main.groom.groups == group).any():
                 continue
             elif recorded is not None:
@@ -146,7 +149,23 @@ class Wardrobe:
         parts = [use.parts.get(part) or kept.get(part) or settings.for_part(group) for group, part in enumerate(GROUPS)]
         of_own, from_photos = use.groom == OWN_HAIR or use.of_own, target.avatar.provenance.from_photos
         painted = instead and (not hairless or (not of_own and from_photos))
-        return Worn(layers, (settings, *parts[1:]), combed or painted, of_own, of_own and from_photos)
+        gone = None
+        if from_photos and hairless and own is not None and own.groom is not None:
+            bared = [group for group in (BROWS, BEARD) if names[group] != OWN_HAIR]
+            gone = own.groom.select(np.isin(own.groom.groups, bared))
+        gone = gone if gone is not None and len(gone) else None
+        return Worn(layers, (settings, *parts[1:]), combed or painted, of_own, of_own and from_photos, gone)
+
+    def _package(self, target: OpenAvatar, part: str, name: str) -> Layer:
+        """A part of the package's; brows at the height of the person's own."""
+        head, own = target.model.head_model, target.avatar.hair
+        groom = library_groom(name, head.name, part)
+        brows = None if own is None or own.groom is None else own.groom.select(own.groom.groups == BROWS)
+        if part != GROUPS[BROWS] or brows is None or not len(brows):
+            return Layer((part, name), groom)
+        key = part, name, str(target.id)
+        usual = library_groom(FULLEST_BROWS, head.name, part)
+        return Layer(key, _kept(self._placed, key, lambda: at_height_of(groom, usual, brows, head)))
 
     def _main(self, target: OpenAvatar, use: HairUse) -> Layer | None:
         """The groom that is worn on the scalp, with what else is in it."""
@@ -188,7 +207,7 @@ class Wardrobe:
 
         Where a scene's light is to take the rig's place, its own shadows are those of hair beside the skin.
         """
-        if not worn.flat and not any((layer.groom.groups == BEARD).any() for layer in worn.layers):
+        if not worn.flat and worn.gone is None and not any((layer.groom.groups == BEARD).any() for layer in worn.layers):
             return None
         head = target.model.head_model
 
@@ -220,13 +239,14 @@ class Wardrobe:
                 if worn.flat and part.any():
                     skin, rig = bare(own_skin), not lit_later and not (own_skin and worn.photo)
                     share, color = share + part[:, 0] * skin.share, color + part * cap_color(skin, there, settings, rig)
+            if worn.gone is not None:
+                left = left * plucked(evaluator, target, at_rest(target, inputs), worn.gone)
             return Cap(*map(self._engine.array, (share, color, left)))
 
         scalp, beard = worn.settings[SCALP], worn.settings[BEARD]
         settings = *scalp.color_key, scalp.density, scalp.shading, beard.shading
-        return evaluator.cache.get(
-            (target.id, "cap", lit_later, worn.own, worn.flat, *worn.key, *inputs.identity_key, *settings), make
-        )
+        look = worn.own, worn.flat, 0 if worn.gone is None else len(worn.gone), *worn.key
+        return evaluator.cache.get((target.id, "cap", lit_later, *look, *inputs.identity_key, *settings), make)
 
     def gaussians(
         self, evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, worn: Worn, camera: Camera | None, lod: int = 0,

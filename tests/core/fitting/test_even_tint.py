@@ -61,7 +61,7 @@ def test_skin_that_no_photo_shows_has_the_tint_of_what_one_shows(skin):
     colors, plain = tinted(torch.where(across > 0.0, 0.15, 0.0)), tinted(0.0 * across)
     even = even_tint(surface, colors, plain, (across > 0.0).float())
     unseen = face & (across < -0.02)
-    assert float(warmth(even)[unseen].mean()) == pytest.approx(float(warmth(colors)[face & (across > 0.02)].mean()), abs=0.02)
+    assert float(warmth(even)[unseen].mean()) == pytest.approx(float(warmth(colors)[face & (across > 0.02)].mean()), abs=0.03)
     torch.testing.assert_close(even_tint(surface, colors, plain, 0.0 * across), colors)  # of nothing nothing is told
 
 

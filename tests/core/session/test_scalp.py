@@ -7,12 +7,14 @@ import pytest
 
 from grmm_core.avatar import Hair
 from grmm_core.avatar.types import Provenance
-from grmm_core.hair import HairSettings
+from grmm_core.hair import HairSettings, join
+from grmm_core.hair.brows import lowered
 from grmm_core.hair.packaged import library_groom
 from grmm_core.hair.roots import GROUPS
 from grmm_core.hair.strands import blocks_of
 from grmm_core.pictures.color import srgb_to_linear
 from grmm_core.session import HairUse, create_session
+from grmm_core.session.photo_skin import plucked
 from grmm_core.session.scalp import Covered, Skin, bare_skin, cap_color, covered, shade, shadow
 from grmm_core.session.wardrobe import Wardrobe
 
@@ -187,3 +189,34 @@ def test_at_the_hairline_skin_is_no_brighter_than_in_the_shadow_beside_it():
     assert plain[0] == plain[1] == pytest.approx(0.5, abs=1e-3)
     np.testing.assert_allclose(shaded[:2], 0.3, atol=1e-3)
     assert shaded[2] == plain[2] < 0.3  # under dense hair it is darker than that already
+
+
+def test_brows_that_a_photo_painted_go_with_its_strands_and_others_stand_at_their_height(model):
+    head, layout = model.head_model, model.layout
+    vertices, faces = np.asarray(head.v_template, float), np.asarray(head.faces)
+    natural = library_groom("natural", head.name, "brows")
+    own = lowered(natural, head, np.full(len(natural), 0.006))
+    person = _person(model, from_photos=True)
+    person.avatar.hair = Hair(join([library_groom("bob"), own]), HairSettings())
+    wardrobe = Wardrobe(None)
+    assert wardrobe.worn(person, HairUse("own")).gone is None
+    thin = wardrobe.worn(person, HairUse("own", brows="thin"))
+    assert len(thin.gone) == len(own)
+    worn = [layer.groom for layer in thin.layers if layer.key[:2] == ("brows", "thin")]
+    roots = [groom.frames(vertices, faces).at(vertices)[0][:, 1].mean() for groom in worn]
+    usual = library_groom("thin", head.name, "brows").frames(vertices, faces).at(vertices)[0][:, 1].mean()
+    np.testing.assert_allclose(usual - np.array(roots), [0.006], atol=0.0015)
+
+    points = (vertices[faces[layout.face]] * layout.barycentric[..., None]).sum(1)
+    outer = np.asarray(head.uv_islands)[layout.face] == 0
+    under = own.frames(vertices, faces).at(vertices)[0]
+    apart = np.sqrt(((points[:, None] - under[::4]) ** 2).sum(2).min(1))
+    brow, beside = outer & (apart < 0.0025), outer & (apart > 0.012)
+    painted = np.where(brow[:, None], (0.2, 0.15, 0.12), SKIN).astype(np.float32)
+    evaluator = SimpleNamespace(appearance=lambda target, inputs, eye: (painted,))
+    bared = painted * plucked(evaluator, person, SimpleNamespace(), own)
+    assert min(brow.sum(), beside.sum()) > 50
+    np.testing.assert_allclose(bared[brow], np.broadcast_to(SKIN, bared[brow].shape), atol=0.02)
+    np.testing.assert_array_equal(bared[beside], painted[beside])
+    person.avatar.provenance = Provenance(from_photos=False)  # nobody has painted that skin
+    assert wardrobe.worn(person, HairUse("own", brows="none")).gone is None

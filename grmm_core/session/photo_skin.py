@@ -26,9 +26,10 @@ FEW = 0.05  # of the middle density of roots: where there are fewer, nothing of 
 GONE, THERE = 0.2, 0.7  # of what covers the skin: up to where the photo's hair is gone, and from where on it is there
 ALIKE, UNLIKE = 0.04, 0.16  # of full brightness, by which hair may differ from the photo's before its paint is not hair's
 THIN = 0.02  # of a texel by the scalp, up to which it is none
-PLUCKED = (0.004, 0.009)  # metres from roots of brows or a beard: up to the first skin is theirs, from the second on not
+PLUCKED = (0.0025, 0.0055)  # metres from strands of brows or a beard: up to the first skin is theirs, from the second on not
 DARKER = (0.97, 0.85)  # of the skin around: from how dark on skin there is painted hair, and wholly
-NEAR, SAMPLES = 0.012, 1500  # metres over which that skin is smoothed; texels of it
+# metres beside these strands in which skin tells what plain skin is there, and over which that is smoothed; texels of it
+BESIDE, NEAR, SAMPLES = 0.015, 0.004, 3000
 LEAST = 0.02  # display color that may be that of hair
 
 
@@ -68,13 +69,14 @@ def plucked(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, gone: Groo
     """
     head, places, seen = target.model.head_model, places_of(target), seen_colors(evaluator, target, inputs, 1.0)
     template = np.asarray(head.v_template, np.float64)
-    roots = gone.frames(template, head.faces).at(template)[0].astype(np.float32)
-    low, high = roots.min(0) - PLUCKED[1], roots.max(0) + PLUCKED[1]
+    hairs = gone.posed(gone.frames(template, head.faces), template).astype(np.float32)
+    low, high = hairs.min(0) - PLUCKED[1], hairs.max(0) + PLUCKED[1]
     there = np.flatnonzero(places.outer & ((places.points > low) & (places.points < high)).all(1))
     zone, color = np.zeros(len(seen), np.float32), seen.copy()
-    apart = [np.sqrt(((places.points[part, None] - roots) ** 2).sum(2).min(1)) for part in _parts(there)]
+    apart = [np.sqrt(((places.points[part, None] - hairs) ** 2).sum(2).min(1)) for part in _parts(there)]
     zone[there] = ramp(np.concatenate(apart), *PLUCKED[::-1]) if apart else 0.0
-    bare = np.flatnonzero(places.skin & (places.scalp < THIN) & (zone <= 0.0))
+    around = ((places.points > low - BESIDE) & (places.points < high + BESIDE)).all(1)
+    bare = np.flatnonzero(places.outer & around & (places.scalp < THIN) & (zone <= 0.0) & ~eyes_and_lips(target))
     bare = bare[:: max(1, len(bare) // SAMPLES)]
     there = there[zone[there] > 0.0]
     for part in _parts(there):
@@ -86,8 +88,15 @@ def plucked(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, gone: Groo
     return factor.astype(np.float32)
 
 
+def eyes_and_lips(target: OpenAvatar) -> np.ndarray:
+    """Texels of the outer skin that are no skin, bool [N]."""
+    head = target.model.head_model
+    marked: np.ndarray = head.marked("lips", "lashes", "left_eyeball", "right_eyeball", "mouth_interior")
+    return marked[np.asarray(head.faces)[target.model.layout.face]].any(1)
+
+
 def _parts(rows: np.ndarray) -> list[np.ndarray]:
-    return [part for part in np.array_split(rows, max(1, len(rows) // 2048)) if len(part)]
+    return [part for part in np.array_split(rows, max(1, len(rows) // 256)) if len(part)]
 
 
 def _roots(head: HeadModel, grooms: Sequence[Groom]) -> np.ndarray:

@@ -47,6 +47,7 @@ FEWEST = 0.05  # of the strands; fewer are no beard, and were no brows, whose pl
 SIDES = 0.006  # metres between a hidden strand's mirror image and what stands there
 # metres from a strand under frames of glasses to those that tell what it is; share from which none do
 FRAMES, MOSTLY = 0.012, 0.45
+BROW_THICKNESS = 0.7  # finer strands than the package's: what the photo shows of brows is painted on the skin below as well
 BEHIND = 0.004  # metres below the skin that are still seen
 
 
@@ -86,7 +87,8 @@ def face_hair(
             groom = _at_height(library_groom("thin", head.name, "brows"), track, view, head)
         grooms.append(groom)
         shown = dataclasses.replace(view, hair=cover)
-        own[name] = with_colors(scalp.for_part(group), groom, [shown], head)
+        colored = with_colors(scalp.for_part(group), groom, [shown], head)
+        own[name] = colored.changed(thickness=BROW_THICKNESS * colored.thickness) if name == "brows" else colored
     return grooms, own
 
 

@@ -30,6 +30,7 @@ from .groom_finish import STRANDS, finished
 
 MAX_BYTES = 427_000  # of one before it is compressed: all of them together stay below 9 MB
 BEARD_STRANDS, BEARD_DRAWS = 9000, 4
+CHIN = (0.070, 0.082)  # metres before the head's middle: a goatee ends behind the second and is gone before the first
 CURL = 0.35  # a person's own, where a style has one
 LASH_COUNTS, LASH_POINTS = (130, 56), 6  # of an upper and a lower lid; of a lash
 LASH_WIDTH = 0.75  # of the studio's, which grows fewer
@@ -125,11 +126,22 @@ def grown(head: HeadModel, mesh: RenderMesh, neutral: np.ndarray, group: int, su
     while not found or (group == BEARD and sum(map(len, found)) < BEARD_STRANDS and len(found) < BEARD_DRAWS):
         groom = make_groom(head, mesh, neutral, replace(subject, index=len(found)))
         on_ear = np.isin(np.asarray(head.faces)[groom.triangles], head.regions["ears"]).any(1)
-        found.append(groom.select((groom.groups == group) & (~on_ear | (group not in (SCALP, BEARD)))))
+        own = (groom.groups == group) & (~on_ear | (group not in (SCALP, BEARD)))
+        if group == BEARD and subject.beard_cut == "goatee":
+            own &= _before_throat(groom, neutral, head)
+        found.append(groom.select(own))
     groom = join(found)
     if group == LASHES:
         return _fanned(groom, neutral, head)
     return finished(groom, neutral, head, subject.hair_style) if group == SCALP else groom
+
+
+def _before_throat(groom: Groom, vertices: np.ndarray, head: HeadModel) -> np.ndarray:
+    """Strands that stand on a chin, not below the jaw or on the throat: the studio's goatees go on down these, [N] bool."""
+    depth = groom.frames(vertices, head.faces).at(vertices)[0][:, 2]
+    chance = (np.arange(len(groom)) * 0.6180339887498949) % 1.0
+    kept: np.ndarray = chance < np.interp(depth, CHIN, (0.0, 1.0))
+    return kept
 
 
 def _fanned(groom: Groom, vertices: np.ndarray, head: HeadModel) -> Groom:

@@ -14,6 +14,7 @@ from ..errors import FileFormatError
 from ..files.packing import pack, scales_shape, unpack
 
 DELTA, SCALE = "delta/", "delta_scale/"
+APPEARANCE = "decoders.appearance_mean"  # the map of colors, which are the first three channels, and features
 _HALF_MAX = 60000.0
 _ROUNDS = 8  # of rounding, after which eight bits hold their own result exactly or never
 _MAP = 4096  # numbers from which on an array [N, C] is packed

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from ..avatar import Avatar
+from ..avatar.deltas import APPEARANCE
 from ..geometry.camera import Camera
 from ..hair.coloring import WornHair
 from ..hair.roots import SCALP
@@ -23,7 +24,6 @@ from .photo_targets import FitView, bare_pixels
 ROOTS = 2000  # that stand for all
 REACH, FADE = 0.010, 0.006  # metres from a root that its shade reaches, and over which it ends
 SHARE, SHADE = 0.75, 0.8  # of the hair's color in the skin's, and how much darker than strands that is
-APPEARANCE = "decoders.appearance_mean"
 SURELY = 0.4  # cosine between normal and view from which on skin that is seen bare is wholly believed to be
 _CHUNK, _SIDE = 4096, 256
 

@@ -19,7 +19,7 @@ import numpy as np
 import torch
 
 from ..avatar import EXTENSION, Avatar, save_avatar
-from ..avatar.deltas import rounded
+from ..avatar.deltas import APPEARANCE, rounded
 from ..controls.frame import Controls
 from ..geometry.libraries import to_numpy
 from ..light.cornea import on_eyes
@@ -34,7 +34,6 @@ from .objective import contributions, decode, spread_to_colors
 from .photo_light import MATT, Light
 from .photo_targets import FitView, bare_pixels
 from .result import FINE, LOCAL, photo_controls, photo_light
-from .root_shade import APPEARANCE
 from .types import PhotoTrack
 
 SMOOTH = 2.0  # pixels: what is finer are the strands themselves

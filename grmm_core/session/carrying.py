@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..avatar import AssetReference, Avatar, Hair
-from ..avatar.deltas import rounded
+from ..avatar.deltas import APPEARANCE, rounded
 from ..hair.packaged import HEAD, library_groom
 from ..hair.settings import HairSettings
 from ..head import HeadModel
@@ -67,7 +67,7 @@ def in_its_colors(plain: Avatar, loaded: LoadedModel[Any], colors: np.ndarray) -
     known = 1.0 - np.maximum.reduce([_share(head, layout, name) for name in _INSIDE])
     changed = np.zeros((len(uv), COLOR_CHANNELS + model.config.features), np.float32)
     changed[:, :COLOR_CHANNELS] = known[:, None] * (painted - colors)
-    return replace(plain, deltas={"decoders.appearance_mean": rounded(changed)}, hair=hair)
+    return replace(plain, deltas={APPEARANCE: rounded(changed)}, hair=hair)
 
 
 def _share(head: HeadModel, layout: TexelLayout, name: str) -> np.ndarray:

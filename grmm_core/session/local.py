@@ -38,6 +38,7 @@ from .evaluator import Evaluator, Inputs, OpenAvatar
 from .holding import held
 from .opened import OpenAvatars
 from .painter import painted
+from .photo_skin import unpainted
 from .sources import SourceKey, source_key
 from .values import MAX_LOD, AvatarInfo, CloudArrays, Deformation, Instance, RenderOptions, SessionStatus, check_render_size
 from .wardrobe import Wardrobe
@@ -119,6 +120,9 @@ class LocalSession:
         target = self.target(avatar_id)
         avatar = target.avatar
         if hair is not None:
+            worn = self._wardrobe.worn(target, hair)
+            if worn is not None and worn.gone is not None:
+                avatar = dataclasses.replace(avatar, deltas=unpainted(self.evaluator, target, worn.gone))
             avatar = dataclasses.replace(avatar, hair=self._wardrobe.kept(target, hair))
         buffers = self.render([Instance(avatar_id, hair=hair or HairUse())], portrait_camera(THUMBNAIL_PIXELS))
         png = encode_png(quantize(straight_rgba(buffers["rgb"], buffers["alpha"])))

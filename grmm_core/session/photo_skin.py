@@ -11,13 +11,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..avatar.deltas import APPEARANCE, rounded
+from ..controls.frame import Controls
+from ..geometry.libraries import to_numpy
 from ..hair.groom import Groom
 from ..hair.pigment import albedos
 from ..hair.roots import SCALP
 from ..hair.settings import HairSettings
 from ..head import HeadModel
 from ..pictures.color import linear_to_srgb
-from .evaluator import Evaluator, Inputs, OpenAvatar
+from .evaluator import FRONT, Evaluator, Inputs, OpenAvatar, at_rest
 from .scalp import places_of, ramp, seen_colors, smoothed
 
 REACH = 0.02  # metres of a strand from its root on that cover the skin there
@@ -70,6 +73,7 @@ def plucked(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, gone: Groo
     head, places, seen = target.model.head_model, places_of(target), seen_colors(evaluator, target, inputs, 1.0)
     template = np.asarray(head.v_template, np.float64)
     hairs = gone.posed(gone.frames(template, head.faces), template).astype(np.float32)
+    hairs = hairs[:: max(1, len(hairs) // SAMPLES)]
     low, high = hairs.min(0) - PLUCKED[1], hairs.max(0) + PLUCKED[1]
     there = np.flatnonzero(places.outer & ((places.points > low) & (places.points < high)).all(1))
     zone, color = np.zeros(len(seen), np.float32), seen.copy()
@@ -86,6 +90,18 @@ def plucked(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, gone: Groo
     own, plain = (linear_to_srgb(part).clip(LEAST, 1.0) for part in (seen, color))
     factor: np.ndarray = 1.0 + (zone * dark)[:, None] * (plain / own - 1.0)
     return factor.astype(np.float32)
+
+
+def unpainted(evaluator: Evaluator, target: OpenAvatar, gone: Groom) -> dict[str, np.ndarray]:
+    """An avatar's changes of the weights without what a photo painted of hair on the face, as of `plucked`, for its file."""
+    deltas = dict(target.avatar.deltas)
+    if APPEARANCE in deltas:
+        still = at_rest(target, evaluator.inputs(target, Controls()))
+        shown = to_numpy(evaluator.appearance(target, still, FRONT)[0]).clip(0.0, 1.0)
+        colors = np.array(deltas[APPEARANCE], np.float32)
+        colors[:, :3] += (plucked(evaluator, target, still, gone) - 1.0) * shown
+        deltas[APPEARANCE] = rounded(colors)
+    return deltas
 
 
 def eyes_and_lips(target: OpenAvatar) -> np.ndarray:

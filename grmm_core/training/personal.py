@@ -20,7 +20,7 @@ import torch
 from torch import Tensor, nn
 
 from ..avatar import AssetReference, Avatar, Hair, Provenance
-from ..avatar.deltas import rounded
+from ..avatar.deltas import APPEARANCE, rounded
 from ..avatar.types import MADE_BY, SHAPE_SIZE
 from ..errors import ConfigError
 from ..model.config import COLOR_CHANNELS
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from ..model.inputs import Person
     from .config import TrainConfig
 
-APPEARANCE = "decoders.appearance_mean"
 OWN_MAPS = (
     "decoders.transform_mean",
     "decoders.opacity_mean",

@@ -11,6 +11,7 @@ import pytest
 from support.tiny_model import write_tiny_weights
 
 from grmm_core.avatar import Hair, load_avatar, save_avatar
+from grmm_core.avatar.deltas import APPEARANCE, rounded
 from grmm_core.avatar.library import library_path
 from grmm_core.controls.frame import Controls
 from grmm_core.errors import ConfigError, FileAccessError, ShapeError
@@ -18,6 +19,7 @@ from grmm_core.geometry.camera import Camera
 from grmm_core.hair import HairSettings, library_groom
 from grmm_core.hair.drawing import StrandGaussians, nearer
 from grmm_core.hair.ribbons import Eye
+from grmm_core.hair.roots import BROWS
 from grmm_core.hair.strands import StrandBlock
 from grmm_core.light.parse import lighting_of
 from grmm_core.light.relight import to_linear
@@ -389,3 +391,36 @@ def test_black_brows_are_darker_than_dark_skin(session):
     assert brow.sum() > 100
     assert bare["rgb"][brow].mean() < 0.5
     assert worn["rgb"][brow].mean() < 0.63 * bare["rgb"][brow].mean()
+
+
+def test_a_file_saved_without_a_photos_brows_has_none_painted_either(session, tmp_path):
+    avatar = load_avatar(library_path("default"))
+    target = session.target(session.open("default").id)
+    head, layout = target.model.head_model, target.model.layout
+    own = avatar.hair.groom.select(avatar.hair.groom.groups == BROWS)
+    roots = own.frames(head.v_template, head.faces).at(np.asarray(head.v_template, float))[0]
+    places = (np.asarray(head.v_template, float)[head.faces[layout.face]] * layout.barycentric[..., None]).sum(1)
+    colors = avatar.deltas[APPEARANCE].copy()
+    painted = np.sqrt(((places[:, None] - roots[::3]) ** 2).sum(2).min(1)) < 0.002
+    colors[painted, :3] -= 0.3
+    photo = replace(avatar, deltas={APPEARANCE: rounded(colors)}, provenance=replace(avatar.provenance, from_photos=True))
+    save_avatar(photo, tmp_path / "photo.grmm")
+    face = Camera.orbit(192, 192, distance=1.0, fov=12, target=(0.0, 0.04, 0.06))
+
+    def shown(path, use):
+        number = session.open(path).id
+        picture = session.render([Instance(number, hair=use)], face, RenderOptions(refine=False))["rgb"]
+        session.release(number)
+        return picture
+
+    plucked = replace(HairUse(), brows="none")
+    number = session.open(tmp_path / "photo.grmm").id
+    session.save(number, tmp_path / "plucked.grmm", plucked)
+    session.release(number)
+    before, bare = (shown(tmp_path / "photo.grmm", use) for use in (HairUse(), plucked))
+    reopened = shown(tmp_path / "plucked.grmm", HairUse())
+    brow = np.abs(bare - before).max(2) > 0.1
+    assert brow.sum() > 100
+    assert bare[brow].mean() > before[brow].mean() + 0.15
+    np.testing.assert_allclose(reopened, bare, atol=0.03)
+    assert not (load_avatar(tmp_path / "plucked.grmm").hair.groom.groups == BROWS).any()

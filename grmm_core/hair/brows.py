@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..geometry.triangles import vertex_normals
+from ..geometry.triangles import closest_on_surface, vertex_normals
 from ..head import HeadModel
-from ..head.flame_align import closest_on_surface
 from .groom import Groom, bind
 
 FULLEST_BROWS = "bushy"  # of the package: they cover all of where brows are

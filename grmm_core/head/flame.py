@@ -23,7 +23,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import FileFormatError
-from .flame_align import Correspondence, closest_on_surface, correspond
+from ..geometry.triangles import closest_on_surface
+from .flame_align import Correspondence, correspond
 from .flame_arkit import arkit_map
 from .flame_file import FLAME_FACES, FlameArrays, read_fields, read_flame_file, read_flame_masks
 from .flame_regions import FlameSurface, find_surface, name_regions

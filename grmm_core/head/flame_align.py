@@ -154,34 +154,3 @@ def _nearest(source: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.nda
         found.append(np.take_along_axis(index, order, 1))
         values.append(np.maximum(np.take_along_axis(value, order, 1), 0.0))
     return np.concatenate(found), np.concatenate(values)
-
-
-def closest_on_surface(
-    points: np.ndarray, vertices: np.ndarray, faces: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Nearest triangle of each point, [n], barycentric coordinates there, [n, 3], and distances in metres, [n]."""
-    corners = np.moveaxis(vertices[faces], 1, 0)  # [3, F, 3]
-    first, second = corners[1:] - corners[0]
-    d11, d12, d22 = (first**2).sum(1), (first * second).sum(1), (second**2).sum(1)
-    determinant = np.maximum(d11 * d22 - d12**2, 1e-30)
-    centers = corners.mean(0)
-    radii = np.linalg.norm(corners - centers, axis=2).max(0)
-    triangles, coordinates, distances = np.zeros(len(points), np.int32), np.zeros((len(points), 3)), np.zeros(len(points))
-    for rows in np.array_split(np.arange(len(points)), max(1, len(points) // _CHUNK)):
-        if not len(rows):
-            continue
-        apart = np.linalg.norm(points[rows, None] - centers, axis=2)
-        # only these can be nearest: the nearest center is on a triangle itself
-        row, face = np.nonzero(apart - radii <= apart.min(1, keepdims=True))
-        arm = points[rows[row]] - corners[0, face]
-        e1, e2 = (arm * first[face]).sum(1), (arm * second[face]).sum(1)
-        v = (d22[face] * e1 - d12[face] * e2) / determinant[face]
-        w = (d11[face] * e2 - d12[face] * e1) / determinant[face]
-        # outside a triangle the clipped coordinates are near enough: its neighbour is nearer anyway
-        inside = np.maximum(np.stack([1 - v - w, v, w], 1), 0.0)
-        inside /= inside.sum(1, keepdims=True)
-        gap = np.linalg.norm(np.einsum("nk,knx->nx", inside, corners[:, face]) - points[rows[row]], axis=1)
-        order = np.lexsort((face, gap, row))
-        best = order[np.searchsorted(row[order], np.arange(len(rows)))]
-        triangles[rows], coordinates[rows], distances[rows] = face[best], inside[best], gap[best]
-    return triangles, coordinates, distances

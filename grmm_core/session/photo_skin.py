@@ -80,9 +80,9 @@ def plucked(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, gone: Groo
     apart = [np.sqrt(((places.points[part, None] - hairs) ** 2).sum(2).min(1)) for part in _parts(there)]
     zone[there] = ramp(np.concatenate(apart), *PLUCKED[::-1]) if apart else 0.0
     around = ((places.points > low - BESIDE) & (places.points < high + BESIDE)).all(1)
-    bare = np.flatnonzero(places.outer & around & (places.scalp < THIN) & (zone <= 0.0) & ~eyes_and_lips(target))
+    bare = np.flatnonzero(places.outer & around & (places.scalp < THIN) & (zone <= 0.0) & ~_eyes_and_lips(target))
     bare = bare[:: max(1, len(bare) // SAMPLES)]
-    there = there[zone[there] > 0.0]
+    there = there[zone[there] > 0.0] if len(bare) else there[:0]
     for part in _parts(there):
         near = 1.0 / (((places.points[part, None] - places.points[bare]) ** 2).sum(2) + NEAR**2) ** 2
         color[part] = (near @ seen[bare]) / near.sum(1, keepdims=True)
@@ -104,7 +104,7 @@ def unpainted(evaluator: Evaluator, target: OpenAvatar, gone: Groom) -> dict[str
     return deltas
 
 
-def eyes_and_lips(target: OpenAvatar) -> np.ndarray:
+def _eyes_and_lips(target: OpenAvatar) -> np.ndarray:
     """Texels of the outer skin that are no skin, bool [N]."""
     head = target.model.head_model
     marked: np.ndarray = head.marked("lips", "lashes", "left_eyeball", "right_eyeball", "mouth_interior")

@@ -245,7 +245,8 @@ class Wardrobe:
 
         scalp, beard = worn.settings[SCALP], worn.settings[BEARD]
         settings = *scalp.color_key, scalp.density, scalp.shading, beard.shading
-        look = worn.own, worn.flat, 0 if worn.gone is None else len(worn.gone), *worn.key
+        gone = () if worn.gone is None else tuple(np.unique(worn.gone.groups).tolist())
+        look = worn.own, worn.flat, gone, *worn.key
         return evaluator.cache.get((target.id, "cap", lit_later, *look, *inputs.identity_key, *settings), make)
 
     def gaussians(

@@ -19,8 +19,8 @@ from grmm_core.formats.avatars.binding import place_on_mesh, triangle_frames
 from grmm_core.formats.avatars.flame_transfer import PROBES, bind_to_flame, fit_flame, nearest_triangles
 from grmm_core.formats.avatars.gaussian_avatars import GaussianAvatar, write_gaussian_avatar
 from grmm_core.geometry.rotations import axis_angle_to_matrix
+from grmm_core.geometry.triangles import closest_on_surface
 from grmm_core.head import load_flame, load_open_head
-from grmm_core.head.flame_align import closest_on_surface
 from grmm_core.head.skinning import posed_vertices
 from grmm_core.performance import Performance, to_expression
 

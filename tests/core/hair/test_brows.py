@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from grmm_core.geometry.triangles import vertex_normals
+from grmm_core.geometry.triangles import closest_on_surface, vertex_normals
 from grmm_core.hair.brows import FULLEST_BROWS, at_height_of, lowered
 from grmm_core.hair.packaged import library_groom
 from grmm_core.head import load_open_head
-from grmm_core.head.flame_align import closest_on_surface
 
 DOWN = 0.005  # metres
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from grmm_core.errors import ConfigError, FileFormatError, ShapeError
-from grmm_core.geometry.triangles import vertex_normals
+from grmm_core.geometry.triangles import closest_on_surface, vertex_normals
 from grmm_core.hair import join, library_groom
 from grmm_core.hair.body import Body, worn
 from grmm_core.hair.contact import moved
@@ -14,7 +14,6 @@ from grmm_core.hair.groom import Groom
 from grmm_core.hair.roots import SCALP
 from grmm_core.hair.swing import Swing, SwingBake, write_bake
 from grmm_core.head import load_open_head
-from grmm_core.head.flame_align import closest_on_surface
 
 FPS = 24.0
 

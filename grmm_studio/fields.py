@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from grmm_core.hair.attach import SIDEBURN_Y, SIDEBURN_Z
 from grmm_core.wrinkles.noise import bump, smoothstep, wave_noise
 
 HEAD_CENTRE = np.array([0.0, 0.045, 0.0])
@@ -54,13 +55,20 @@ def scalp_density(points: np.ndarray, receding: float, lift: float, seed: int) -
     return np.where(ear, 0.0, density)
 
 
+SIDEBURN = (0.019, 0.024, 0.036, 0.046)  # metres: depths between which a beard goes up before the ears, with its borders
+SIDEBURN_END = 0.004  # metres below the hair of the scalp over which it ends
+# heights above which a beard grows, by depth: it ends below the edge of the jaw, and where chin and throat meet
+NECK_Z, NECK_Y = (0.0, 0.02, 0.05, 0.07, 0.1), (-0.034, -0.050, -0.079, -0.086, -0.09)
+
+
 def beard_density(points: np.ndarray, seed: int) -> np.ndarray:
-    """Where a beard grows, 0..1: jaw, chin, upper lip, cheeks' lower part, upper neck; [...]."""
+    """Where a beard grows, 0..1: sideburns, jaw, chin, upper lip, cheeks' lower part, under the chin; [...]."""
     x, y, z = np.abs(points[..., 0]), points[..., 1], points[..., 2]
+    ragged = wave_noise(points, 0.02, seed)
     upper = np.interp(x, (0.0, 0.018, 0.030, 0.045, 0.060, 0.072), (-0.0195, -0.0205, -0.030, -0.030, -0.012, 0.018))
-    cheeks = smoothstep(0.004, -0.006, y - upper + 0.003 * wave_noise(points, 0.02, seed))
-    neck = smoothstep(-0.094, -0.076, y + 0.25 * (0.10 - z) * (z < 0.10) * 0.0)
-    front = smoothstep(0.000, 0.020, z - 0.0 * y)
+    cheeks = np.maximum(smoothstep(0.004, -0.006, y - upper + 0.003 * ragged), sideburns(points))
+    neck = smoothstep(-0.006, 0.006, y - np.interp(z, NECK_Z, NECK_Y) + 0.002 * ragged)
+    front = smoothstep(0.004, 0.018, z)
     moustache = bump(points, (0.010, -0.0165, 0.112), (0.017, 0.0055, 0.02)) * 1.3
     below_lip = bump(points, (0.013, -0.047, 0.104), (0.006, 0.006, 0.02))
     mouth = smoothstep(0.9, 1.2, ((x / 0.0265) ** 2 + ((y + 0.0325) / 0.0125) ** 2))
@@ -72,6 +80,15 @@ def beard_density(points: np.ndarray, seed: int) -> np.ndarray:
         0,
         1,
     )
+
+
+def sideburns(points: np.ndarray) -> np.ndarray:
+    """Where a beard goes up before the ears to the hair of the scalp, 0..1; [...]."""
+    x, y, z = np.abs(points[..., 0]), points[..., 1], points[..., 2]
+    behind, begins, ends, before = SIDEBURN
+    top = np.interp(z, SIDEBURN_Z, SIDEBURN_Y)
+    along: np.ndarray = smoothstep(behind, begins, z) * smoothstep(before, ends, z) * smoothstep(top, top - SIDEBURN_END, y)
+    return along * smoothstep(-0.03, -0.02, y) * smoothstep(0.055, 0.06, x)
 
 
 def redness(points: np.ndarray) -> np.ndarray:

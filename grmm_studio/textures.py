@@ -18,7 +18,7 @@ from grmm_core.wrinkles.lines import paint_lines
 from grmm_core.wrinkles.noise import bump, smoothstep
 
 from . import fields
-from .face_hair import beard_field, brow_density
+from .face_hair import beard_field
 from .grooms import growth_of
 from .marks import Canvas, paint_marks
 from .mesh import region_vertices
@@ -171,7 +171,6 @@ def paint_skin(subject: Subject, atlas: Atlas) -> SkinTextures:
     else:
         shade = fields.scalp_density(rest, 0.9, s.hairline, seed) * smoothstep(0.35, 0.65, pores) * 0.35 * s.stubble
         color = _mix(shade, color, hair_dark)
-    color = _mix(brow_density(rest, s) * 0.22, color, hair_dark)
     if s.stubble > 0.03:
         grown = np.minimum(1.0, 0.5 * np.array(s.hair_color) + 0.035)
         color = _mix((0.16 + 0.2 * pores) * beard_field(rest, s) * s.stubble * (1 - lips), color, grown)

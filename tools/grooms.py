@@ -29,7 +29,8 @@ from grmm_studio.subjects import SHAPE_COUNT, Subject, draw_subject
 from .groom_finish import STRANDS, finished
 
 MAX_BYTES = 427_000  # of one before it is compressed: all of them together stay below 9 MB
-BEARD_STRANDS, BEARD_DRAWS = 9000, 4
+BEARD_STRANDS, BEARD_DRAWS = 9000, 8
+LIP, BESIDE_LIPS = (0.028, -0.028), 0.5  # metres beside the middle, and height, of an upper lip; share of hairs elsewhere
 CHIN = (0.070, 0.082)  # metres before the head's middle: a goatee ends behind the second and is gone before the first
 CURL = 0.35  # a person's own, where a style has one
 LASH_COUNTS, LASH_POINTS = (130, 56), 6  # of an upper and a lower lid; of a lash
@@ -129,6 +130,8 @@ def grown(head: HeadModel, mesh: RenderMesh, neutral: np.ndarray, group: int, su
         own = (groom.groups == group) & (~on_ear | (group not in (SCALP, BEARD)))
         if group == BEARD and subject.beard_cut == "goatee":
             own &= _before_throat(groom, neutral, head)
+        elif group == BEARD and subject.beard > 0.0 and subject.beard_cut == "full":
+            own &= _dense_on_lips(groom, neutral, head)
         found.append(groom.select(own))
     groom = join(found)
     if group == LASHES:
@@ -139,8 +142,19 @@ def grown(head: HeadModel, mesh: RenderMesh, neutral: np.ndarray, group: int, su
 def _before_throat(groom: Groom, vertices: np.ndarray, head: HeadModel) -> np.ndarray:
     """Strands that stand on a chin, not below the jaw or on the throat: the studio's goatees go on down these, [N] bool."""
     depth = groom.frames(vertices, head.faces).at(vertices)[0][:, 2]
-    chance = (np.arange(len(groom)) * 0.6180339887498949) % 1.0
-    kept: np.ndarray = chance < np.interp(depth, CHIN, (0.0, 1.0))
+    return _some(np.interp(depth, CHIN, (0.0, 1.0)))
+
+
+def _dense_on_lips(groom: Groom, vertices: np.ndarray, head: HeadModel) -> np.ndarray:
+    """Strands of a whole beard, fewer but on the upper lip, whose short hairs do not lie over one another, [N] bool."""
+    places = groom.frames(vertices, head.faces).at(vertices)[0]
+    lip = (np.abs(places[:, 0]) < LIP[0]) & (places[:, 1] > LIP[1])
+    return _some(np.where(lip, 1.0, BESIDE_LIPS))
+
+
+def _some(shares: np.ndarray) -> np.ndarray:
+    """As many of each as shares [N] say, evenly among neighbours in number, [N] bool."""
+    kept: np.ndarray = (np.arange(len(shares)) * 0.6180339887498949) % 1.0 < shares
     return kept
 
 

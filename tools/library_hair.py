@@ -1,7 +1,7 @@
 """The hair of the library's avatars: of the capture's people, grown as the package's grooms are (`grooms`, `groom_finish`).
 
 What a capture records of a person is what its pictures show: partings as wide as a finger, crowns that stand over them, long
-beards whose strands stand apart. Called by `library`.
+beards whose strands stand apart, brows that stand too high. Called by `library`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 
 from grmm_core.avatar import Avatar
 from grmm_core.hair.groom import Groom, join
-from grmm_core.hair.roots import BEARD, SCALP
+from grmm_core.hair.roots import BEARD, BROWS, SCALP
 from grmm_core.head.open_head import load_open_head, load_people_model
 from grmm_studio.mesh import RenderMesh
 from grmm_studio.styles import BALD
@@ -21,7 +21,10 @@ from grmm_studio.subjects import Subject, draw_subject
 from .grooms import BEARD_STRANDS, average_person, change_styles, grown
 
 # what is a person's own of the hair of somebody with the mean head
-_OWN = ("hair_style", "hair_length", "hair_curl", "hair_volume", "hairline", "part", "stubble", "beard", "beard_cut", "macros")
+_OWN = (
+    "hair_style", "hair_length", "hair_curl", "hair_volume", "hairline", "part", "stubble", "beard", "beard_cut", "macros",
+    "brow_thickness", "brow_height", "brow_arch", "brow_density", "asymmetry",
+)  # fmt: skip
 
 
 class Dresser:
@@ -34,9 +37,9 @@ class Dresser:
         self._someone, self._neutral = average_person(self._head)
 
     def dressed(self, avatar: Avatar, seed: int, number: int) -> Avatar:
-        """Return the avatar of a person of a capture with scalp hair and beard grown anew, in the pigments that it has.
+        """Return the avatar of a person of a capture with scalp hair, brows and beard grown anew, in the pigments that it has.
 
-        Brows and lashes stay, and so does stubble, which is sparse as it is.
+        Lashes stay, and so does stubble, which is sparse as it is.
 
         Args:
             avatar: With hair.
@@ -47,7 +50,7 @@ class Dresser:
         assert avatar.hair.groom is not None
         person = draw_subject(seed, number, self._people)
         subject = replace(self._someone, **{name: getattr(person, name) for name in _OWN})
-        anew = [SCALP] * (person.hair_style != BALD) + [BEARD] * (person.beard > 0.0)
+        anew = [SCALP] * (person.hair_style != BALD) + [BROWS] + [BEARD] * (person.beard > 0.0)
         kept = avatar.hair.groom.select(np.flatnonzero(~np.isin(avatar.hair.groom.groups, anew)))
         grooms = [self._grown(group, subject) for group in anew]
         return replace(avatar, hair=replace(avatar.hair, groom=join([*grooms, kept])))

@@ -39,7 +39,7 @@ REACH, AROUND = 0.006, 0.05  # of the head's height: beside the mesh's brows, an
 # where brows are tells it, so that thin and fair ones are seen, too
 DARK, BROWN, DARKEST = (0.15, 0.3), 1 / 3, 0.9
 SHADE = 0.015  # of the head's height: around hair, which is dark there, too
-LOWER = (-0.004, 0.009)  # metres by which brows may be moved down; the mesh's are high
+LOWER = (-0.009, 0.006)  # metres by which brows may be moved down
 BRIDGE = 168  # landmark between the brows
 ARCH = 0.005  # of the head's height: how far beside the landmarks' brows a brow may be
 KEPT = (0.15, 0.65)  # of a strand's cover by what the photo shows, from one strand to the next

@@ -16,6 +16,9 @@ _LOST = 0.02  # share of curves beside the map that is forgiven
 WIDTH = 1.2e-4  # metres, where a host has no radii
 BROW = 0.015  # metres from the region of the brows, of the mean head: roots so near are of brows
 CHIN, FRONT = 0.010, 0.0  # metres, head space: roots below the first and before the second are of a beard
+# metres: before an ear a beard goes up to the scalp's hair; depths, and heights below which roots there are of it
+SIDEBURN_Z, SIDEBURN_Y = (0.018, 0.022, 0.026, 0.030, 0.034, 0.040, 0.044), (CHIN, 0.016, 0.016, 0.024, 0.036, 0.036, CHIN)
+SCALP_ABOVE = 0.001  # metres above these heights, from which on they are of the scalp
 
 
 def groom_from_curves(
@@ -91,7 +94,8 @@ def groups_at(head: HeadModel, triangles: np.ndarray, weights: np.ndarray) -> np
     card[np.asarray(head.regions.get("lashes", np.zeros(0, int)), int)] = True
     mean = np.asarray(head.v_template, float)
     places = (mean[np.asarray(head.faces)[triangles]] * weights[..., None]).sum(1)
-    groups[(places[:, 1] < CHIN) & (places[:, 2] > FRONT)] = BEARD
+    top = np.maximum(CHIN, np.interp(places[:, 2], SIDEBURN_Z, SIDEBURN_Y) + SCALP_ABOVE)
+    groups[(places[:, 1] < top) & (places[:, 2] > FRONT)] = BEARD
     brows = mean[np.asarray(head.regions["brows"])]
     low, high = brows.min(0) - BROW, brows.max(0) + BROW
     around = np.flatnonzero(((places > low) & (places < high)).all(1))

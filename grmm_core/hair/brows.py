@@ -7,9 +7,13 @@ import numpy as np
 from ..geometry.triangles import closest_on_surface, vertex_normals
 from ..head import HeadModel
 from .groom import Groom, bind
+from .packaged import library_groom
+from .roots import BROWS, GROUPS
 
 FULLEST_BROWS = "bushy"  # of the package: they cover all of where brows are
 LOWER = (-0.009, 0.009)  # metres by which brows may be moved down
+# metres: up to number 8 the capture studio grew brows as much higher than the package has them, and tinted the skin there
+PAINTED_HIGHER = 0.006
 _AROUND = 0.008  # metres around brows in which skin is looked for
 _SLICES = np.linspace(0.005, 0.06, 12)  # metres from the plane of symmetry: heights are compared in slices between these
 _FEW = 3  # strands in a slice that tell one
@@ -50,6 +54,12 @@ def lowered(groom: Groom, head: HeadModel, down: np.ndarray) -> Groom:
     triangles, weights, _, _ = on_skin(frames.at(template)[0] - down[:, None] * [0.0, 1.0, 0.0])
     points = foot + height * up
     return bind(template, faces, template, skin[triangles], weights, points, groom.offsets, groom.widths, groom.groups)
+
+
+def painted(head: HeadModel) -> Groom:
+    """Brows over all of the skin that weights of such captures have a tint of brows on."""
+    fullest = library_groom(FULLEST_BROWS, head.name, GROUPS[BROWS])
+    return lowered(fullest, head, np.full(len(fullest), -PAINTED_HIGHER))
 
 
 def at_height_of(groom: Groom, usual: Groom, own: Groom, head: HeadModel) -> Groom:

@@ -14,6 +14,7 @@ import numpy as np
 from ..avatar.deltas import APPEARANCE, rounded
 from ..controls.frame import Controls
 from ..geometry.libraries import to_numpy
+from ..geometry.points import squared_distances
 from ..hair.groom import Groom
 from ..hair.pigment import albedos
 from ..hair.roots import SCALP
@@ -29,8 +30,11 @@ FEW = 0.05  # of the middle density of roots: where there are fewer, nothing of 
 GONE, THERE = 0.2, 0.7  # of what covers the skin: up to where the photo's hair is gone, and from where on it is there
 ALIKE, UNLIKE = 0.04, 0.16  # of full brightness, by which hair may differ from the photo's before its paint is not hair's
 THIN = 0.02  # of a texel by the scalp, up to which it is none
-PLUCKED = (0.0025, 0.0055)  # metres from strands of brows or a beard: up to the first skin is theirs, from the second on not
-DARKER = (0.97, 0.85)  # of the skin around: from how dark on skin there is painted hair, and wholly
+# metres from strands of brows or a beard: up to the first skin is theirs, from the second on not; and of the skin around, from
+# how dark on it is painted hair, and wholly. What photos paint; the tint that weights have of brows, about their roots alone
+PLUCKED, DARKER = (0.0025, 0.0055), (0.97, 0.85)
+TINTED, FAINTER = (0.003, 0.0045), (1.0, 0.97)
+MOLE = (0.55, 0.65)  # of the skin around: what is darker than a tint is a mole, wholly and from where on
 # metres beside these strands in which skin tells what plain skin is there, and over which that is smoothed; texels of it
 BESIDE, NEAR, SAMPLES = 0.015, 0.004, 3000
 LEAST = 0.02  # display color that may be that of hair
@@ -70,23 +74,39 @@ def plucked(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, gone: Groo
         inputs: At rest.
         gone: Its own brows, beard, or both.
     """
-    head, places, seen = target.model.head_model, places_of(target), seen_colors(evaluator, target, inputs, 1.0)
-    template = np.asarray(head.v_template, np.float64)
-    hairs = gone.posed(gone.frames(template, head.faces), template).astype(np.float32)
+    template = np.asarray(target.model.head_model.v_template, np.float64)
+    hairs = gone.posed(gone.frames(template, target.model.head_model.faces), template)
+    return _plain(target, seen_colors(evaluator, target, inputs, 1.0), hairs, PLUCKED, DARKER)
+
+
+def untinted(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, brows: Groom) -> np.ndarray:
+    """Likewise without the tint of brows that weights have learned on bare skin, about the roots of such brows."""
+    template = np.asarray(target.model.head_model.v_template, np.float64)
+    roots = brows.frames(template, target.model.head_model.faces).at(template)[0]
+    return _plain(target, seen_colors(evaluator, target, inputs, 1.0), roots, TINTED, FAINTER, MOLE)
+
+
+def _plain(
+    target: OpenAvatar, seen: np.ndarray, hairs: np.ndarray, reach: tuple[float, float], darker: tuple[float, float],
+    mole: tuple[float, float] = (0.0, 0.0),
+) -> np.ndarray:  # fmt: skip
+    """Factor that gives colors [N, 3] near points of hairs those of the skin around, where they are darker, float32 [N, 3]."""
+    places = places_of(target)
     hairs = hairs[:: max(1, len(hairs) // SAMPLES)]
-    low, high = hairs.min(0) - PLUCKED[1], hairs.max(0) + PLUCKED[1]
+    low, high = hairs.min(0) - reach[1], hairs.max(0) + reach[1]
     there = np.flatnonzero(places.outer & ((places.points > low) & (places.points < high)).all(1))
     zone, color = np.zeros(len(seen), np.float32), seen.copy()
-    apart = [np.sqrt(((places.points[part, None] - hairs) ** 2).sum(2).min(1)) for part in _parts(there)]
-    zone[there] = ramp(np.concatenate(apart), *PLUCKED[::-1]) if apart else 0.0
+    apart = [np.sqrt(squared_distances(places.points[part], hairs).min(1)) for part in _parts(there)]
+    zone[there] = ramp(np.concatenate(apart), *reach[::-1]) if apart else 0.0
     around = ((places.points > low - BESIDE) & (places.points < high + BESIDE)).all(1)
     bare = np.flatnonzero(places.outer & around & (places.scalp < THIN) & (zone <= 0.0) & ~_eyes_and_lips(target))
     bare = bare[:: max(1, len(bare) // SAMPLES)]
     there = there[zone[there] > 0.0] if len(bare) else there[:0]
     for part in _parts(there):
-        near = 1.0 / (((places.points[part, None] - places.points[bare]) ** 2).sum(2) + NEAR**2) ** 2
+        near = 1.0 / (squared_distances(places.points[part], places.points[bare]) + NEAR**2) ** 2
         color[part] = (near @ seen[bare]) / near.sum(1, keepdims=True)
-    dark = ramp(seen.mean(1) / np.maximum(color.mean(1), 1e-4), *DARKER)
+    left = seen.mean(1) / np.maximum(color.mean(1), 1e-4)
+    dark = ramp(left, *darker) * (ramp(left, *mole) if mole[1] else 1.0)
     own, plain = (linear_to_srgb(part).clip(LEAST, 1.0) for part in (seen, color))
     factor: np.ndarray = 1.0 + (zone * dark)[:, None] * (plain / own - 1.0)
     return factor.astype(np.float32)

@@ -14,11 +14,12 @@ import numpy as np
 
 from ..compute.recent import Recent
 from ..geometry.libraries import to_numpy
+from ..geometry.points import squared_distances
 from ..hair.cover import beneath
 from ..hair.hanging import left_by_hair
 from ..hair.pigment import albedos
 from ..hair.roots import BEARD as BEARDS
-from ..hair.roots import SCALP
+from ..hair.roots import BROWS, SCALP
 from ..hair.settings import HairSettings
 from ..hair.strands import DIM, StrandBlock
 from ..head import HeadModel
@@ -41,7 +42,8 @@ BEARD = ((0.0, 0.02), (0.03, 0.01))  # metres: below this height, and in front o
 RIM = (0.006, 0.015)  # metres from an open edge: nearer than the first one what is dark is the edge, not a photo's hair
 NEAR = 0.02  # metres: over what distance the skin's color is smoothed
 SAMPLES = 1200  # texels of skin from which it is taken
-SHADED = {SCALP: 0.3, BEARDS: 0.5}  # of the brightness of skin that is not laid flat: what dense strands over it take
+# of the brightness of skin that is not laid flat: what dense strands over it take
+SHADED = {SCALP: 0.3, BROWS: 0.25, BEARDS: 0.5}
 SHADING = 5  # layers of `hair.cover` over skin in which strands shade it: curls that stand before a forehead do not
 DISPLAYED = 1.0 / 2.2  # power that makes a share of light one of a display color
 UNDER = 0.9  # how much of the hair's color the skin under dense hair takes on
@@ -125,8 +127,7 @@ def bare_skin(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, own: boo
     wanted = np.flatnonzero((around > 0) | (share > 0))
     color = seen.copy()
     for part in np.array_split(wanted, max(1, len(wanted) // 2048)):
-        apart = ((places.points[part, None] - places.points[some]) ** 2).sum(2)
-        near = 1.0 / (apart + NEAR**2) ** 2
+        near = 1.0 / (squared_distances(places.points[part], places.points[some]) + NEAR**2) ** 2
         color[part] = (near @ seen[some]) / near.sum(1, keepdims=True)
     # what is as dark as hair beside and behind the face is hair that lies on the skin
     usual = np.maximum(color.mean(1), 1e-4)
@@ -286,9 +287,8 @@ def _from_edges(head: HeadModel, points: np.ndarray) -> np.ndarray:
     for part in np.array_split(np.arange(len(points)), max(1, len(points) // 2048)):
         for edge in np.array_split(open_edges, max(1, len(open_edges) // 512)):
             if len(edge):
-                apart = ((edge**2).sum(1) - 2.0 * points[part] @ edge.T).min(1) + (points[part] ** 2).sum(1)
-                nearest[part] = np.minimum(nearest[part], apart)
-    return np.sqrt(np.maximum(nearest, 0.0))
+                nearest[part] = np.minimum(nearest[part], squared_distances(points[part], edge).min(1))
+    return np.sqrt(nearest)
 
 
 def ramp(values: np.ndarray, low: float, high: float) -> np.ndarray:

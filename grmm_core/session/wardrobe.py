@@ -19,7 +19,7 @@ from ..errors import ShapeError
 from ..geometry.camera import Camera
 from ..geometry.libraries import to_numpy, zeros
 from ..hair.body import on_person
-from ..hair.brows import FULLEST_BROWS, at_height_of
+from ..hair.brows import FULLEST_BROWS, at_height_of, painted
 from ..hair.contact import moved as displaced
 from ..hair.drawing import Hiding, level_shares, nearer, raised_by, strand_gaussians
 from ..hair.groom import Groom, join
@@ -38,11 +38,12 @@ from .cap import Cap
 from .engines import Engine
 from .evaluator import FRONT, Evaluator, Inputs, OpenAvatar, at_rest
 from .hollow import SKIN_ISLAND, from_far, without_inside
-from .photo_skin import as_found, plucked, still_there
-from .scalp import Covered, Skin, bare_skin, cap_color, covered, shade, shadow
+from .photo_skin import as_found, plucked, still_there, untinted
+from .scalp import SHADED, Covered, Skin, bare_skin, cap_color, covered, shade, shadow
 from .wearing import GROOM_PREFIX, NO_HAIR, OWN_HAIR, PARTS, PUT_PREFIX, RANDOM_PREFIX, USUAL, HairUse
 
 EXPORT_DENSITY = 1000.0  # pixels per metre for which Gaussians are made where there is no picture
+FACE = BROWS, BEARD  # parts that a photo paints on the skin under them as well
 READY = 12  # grooms that are kept ready
 _COVERED: Recent[Covered] = Recent(3)  # by contents: a fit opens its person several times
 Kept = TypeVar("Kept")
@@ -87,6 +88,7 @@ class Worn:
         own: The hair is that of the avatar's file, or was made of it.
         photo: It is also that of a photo, which shows the skin under it.
         gone: Brows and beard of a photo that are not worn; it has painted the skin under them. None where there are none.
+        tint: Brows of which the weights have a tint on bare skin. None where they have none.
     """
 
     layers: tuple[Layer, ...]
@@ -95,6 +97,7 @@ class Worn:
     own: bool
     photo: bool
     gone: Groom | None = None
+    tint: Groom | None = None
 
     @property
     def key(self) -> tuple[str, ...]:
@@ -148,13 +151,15 @@ class Wardrobe:
         kept = {} if own is None else own.parts
         parts = [use.parts.get(part) or kept.get(part) or settings.for_part(group) for group, part in enumerate(GROUPS)]
         of_own, from_photos = use.groom == OWN_HAIR or use.of_own, target.avatar.provenance.from_photos
-        painted = instead and (not hairless or (not of_own and from_photos))
-        gone = None
+        bared = instead and (not hairless or (not of_own and from_photos))
+        gone = tint = None
+        if hairless and not from_photos and head == HEAD:
+            tint = _kept(self._placed, ("tint", head), lambda: painted(target.model.head_model))
         if from_photos and hairless and own is not None and own.groom is not None:
-            bared = [group for group in (BROWS, BEARD) if names[group] != OWN_HAIR]
-            gone = own.groom.select(np.isin(own.groom.groups, bared))
+            others = [group for group in FACE if names[group] != OWN_HAIR]
+            gone = own.groom.select(np.isin(own.groom.groups, others))
         gone = gone if gone is not None and len(gone) else None
-        return Worn(layers, (settings, *parts[1:]), combed or painted, of_own, of_own and from_photos, gone)
+        return Worn(layers, (settings, *parts[1:]), combed or bared, of_own, of_own and from_photos, gone, tint)
 
     def _package(self, target: OpenAvatar, part: str, name: str) -> Layer:
         """A part of the package's; brows at the height of the person's own."""
@@ -207,9 +212,10 @@ class Wardrobe:
 
         Where a scene's light is to take the rig's place, its own shadows are those of hair beside the skin.
         """
-        if not worn.flat and worn.gone is None and not any((layer.groom.groups == BEARD).any() for layer in worn.layers):
+        head, photo = target.model.head_model, target.avatar.provenance.from_photos
+        on_face = any(np.isin(layer.groom.groups, FACE).any() for layer in worn.layers)
+        if not (worn.flat or on_face) and worn.gone is worn.tint is None:
             return None
-        head = target.model.head_model
 
         def bare(own: bool) -> Skin:
             def find() -> Skin:
@@ -218,9 +224,12 @@ class Wardrobe:
             return evaluator.cache.get((target.id, "skin", own, *inputs.identity_key), find)
 
         def find() -> Covered:
-            blocks = [block for layer in worn.layers for block in self.blocks(layer, head)]
+            blocks = [  # a photo shows how dark skin under its own brows and beard is
+                block for layer in worn.layers for block in self.blocks(layer, head)
+                if not (photo and layer.key[0] == OWN_HAIR and block.group in FACE)
+            ]  # fmt: skip
             layout, grooms = target.model.layout, tuple(strands_of(layer.groom) for layer in worn.layers)
-            return _COVERED.get((head, layout.face, layout.barycentric, grooms), lambda: covered(target, blocks))
+            return _COVERED.get((head, layout.face, layout.barycentric, photo, grooms), lambda: covered(target, blocks))
 
         def make() -> Cap:
             there = evaluator.cache.get((target.id, "covered", *worn.key), find)
@@ -241,10 +250,12 @@ class Wardrobe:
                     share, color = share + part[:, 0] * skin.share, color + part * cap_color(skin, there, settings, rig)
             if worn.gone is not None:
                 left = left * plucked(evaluator, target, at_rest(target, inputs), worn.gone)
+            if worn.tint is not None:
+                left = left * untinted(evaluator, target, at_rest(target, inputs), worn.tint)
             return Cap(*map(self._engine.array, (share, color, left)))
 
-        scalp, beard = worn.settings[SCALP], worn.settings[BEARD]
-        settings = *scalp.color_key, scalp.density, scalp.shading, beard.shading
+        scalp = worn.settings[SCALP]
+        settings = *scalp.color_key, scalp.density, *(worn.settings[group].shading for group in SHADED)
         gone = () if worn.gone is None else tuple(np.unique(worn.gone.groups).tolist())
         look = worn.own, worn.flat, gone, *worn.key
         return evaluator.cache.get((target.id, "cap", lit_later, *look, *inputs.identity_key, *settings), make)

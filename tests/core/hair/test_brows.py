@@ -10,7 +10,7 @@ from grmm_core.hair.brows import FULLEST_BROWS, at_height_of, lowered
 from grmm_core.hair.packaged import library_groom
 from grmm_core.head import load_open_head
 
-DOWN = 0.005  # metres
+DOWN = -0.003  # metres
 
 
 @pytest.fixture(scope="module")

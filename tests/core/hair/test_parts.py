@@ -27,7 +27,7 @@ def posed(head, groom):
 
 @pytest.mark.parametrize(
     ("group", "low", "high", "longest"),
-    [(BROWS, 0.045, 0.07, 0.014), (LASHES, 0.015, 0.05, 0.016), (BEARD, -0.12, 0.03, 0.06)],
+    [(BROWS, 0.04, 0.065, 0.014), (LASHES, 0.015, 0.05, 0.016), (BEARD, -0.1, 0.04, 0.06)],
 )
 def test_parts_of_the_face_are_where_they_belong(head, group, low, high, longest):
     for name in groom_names(GROUPS[group]):

@@ -25,7 +25,7 @@ from grmm_core.session.wearing import GROOM_PREFIX, OWN_HAIR, HairUse
 FOLDER = Path(__file__).resolve().parent.parent / "docs" / "images"
 PAPER = (0.86, 0.86, 0.86)
 # a key, a rim and a world, as a photographer would stand them, and the wall behind
-LIGHT, WALL = ("lamp:45,35,30", "lamp:-140,30,30,0.8,0.9,1", "world:0.27,0.92,0.98,1.1"), (0.2, 0.21, 0.23)
+LIGHT, WALL = ("lamp:45,35,22", "lamp:-140,30,24,0.8,0.9,1", "world:0.24,0.92,0.98,1.1"), (0.2, 0.21, 0.23)
 YAWS = (-25.0, 20.0, 0.0, 35.0, -40.0, 10.0, -10.0, 28.0)
 # one after the other over the library: what an animator asks of everybody
 EXPRESSIONS: tuple[Mapping[str, float], ...] = (
@@ -93,6 +93,7 @@ def main() -> int:
     parser.add_argument("--size", type=int, default=224, help="pixels of each (default: %(default)s)")
     arguments = parser.parse_args()
     with create_session("local") as session:
+        arguments.out.mkdir(parents=True, exist_ok=True)
         names = library_names()
         avatars = [session.open(LIBRARY_PREFIX + name).id for name in names]
         plain = [lit(session, who, {}, camera(arguments.size, YAWS[i % len(YAWS)])) for i, who in enumerate(avatars)]

@@ -7,7 +7,7 @@ The map:
 ``client`` ``worker``  the session in a process of its own; ``process`` ``codec`` ``arena`` ``holding``: what lies between
 ``engines``  the library behind the arrays: ``torch_engine`` ``plain_engine``
 ``evaluator``  from an avatar and controls to mesh and Gaussians, behind ``cache``
-``wardrobe``  strands: ``scalp`` ``photo_skin`` ``cap`` lay trained hair flat, ``swinging`` moves them
+``wardrobe``  strands: ``scalp`` ``photo_skin`` ``cap`` lay trained hair flat, ``swinging`` moves them; ``random_hair``
 ``compose``  one picture: ``stacking`` of channels, ``refining``, ``cover_kernels``, ``passes``
 ``lit``  a scene's light on skin, ``shading_hair`` on strands, ``mutual_shadows`` of heads; ``furrowed``: wrinkles
 ``clouds``  splats from elsewhere in the same picture

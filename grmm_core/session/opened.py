@@ -9,6 +9,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+
 from ..avatar import Avatar, load_avatar
 from ..avatar.library import DEFAULT_NAME, library_path
 from ..controls.frame import Controls
@@ -19,9 +21,10 @@ from ..model.people import default_avatar, sampled_avatar
 from .carrying import can_carry, in_its_colors, without_changes
 from .engines import Engine
 from .evaluator import FRONT, Evaluator, OpenAvatar
+from .random_hair import random_hair
 from .sources import SourceKey, source_key
 from .values import AvatarInfo
-from .wardrobe import READY, random_hair
+from .wardrobe import READY
 
 _NOBODY = 0  # no avatar has this number
 
@@ -100,7 +103,9 @@ class OpenAvatars:
         size = loaded.model.z_exp_size
         made = sampled_avatar(loaded.info, size, int(key.name)) if key.kind == "sample" else default_avatar(loaded.info, size)
         if key.kind == "sample" and loaded.model.config.hairless and loaded.info.head_name == HEAD:
-            made = dataclasses.replace(made, hair=random_hair(int(key.name)))
+            bare = OpenAvatar(number, made, loaded, key)
+            colors, _ = self._evaluator.appearance(bare, bare.still, FRONT)
+            made = dataclasses.replace(made, hair=random_hair(int(key.name), float(np.median(to_numpy(colors).mean(1)))))
         return OpenAvatar(number, made, loaded, key)
 
     def _carried_over(self, avatar: Avatar, path: Path) -> Avatar:

@@ -454,15 +454,6 @@ def _stood(local: np.ndarray, origin: np.ndarray, axes: np.ndarray) -> np.ndarra
     return points
 
 
-def random_hair(seed: int) -> Hair:
-    """The hair of a person drawn at random where the Gaussians have none: from `hair.prior`, with usual brows and lashes."""
-    g = np.random.default_rng([abs(seed), 31])
-    grey = float(np.clip(g.normal(-0.3, 0.4), 0.0, 0.9))
-    settings = HairSettings(melanin=float(g.beta(2.2, 1.2)), redness=float(0.6 * g.beta(0.6, 3.0)), grey=grey)
-    usual = [library_groom(name, part=part) for part, name in USUAL.items()]
-    return Hair(join([random_groom(str(abs(seed) % 10**9)), *usual]), settings)
-
-
 def _kept(known: dict[tuple[Hashable, ...], Kept], key: tuple[Hashable, ...], make: Callable[[], Kept]) -> Kept:
     """What is known by a key, made where it is not; the oldest of many is forgotten."""
     if key not in known:

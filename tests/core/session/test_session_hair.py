@@ -25,6 +25,7 @@ from grmm_core.light.parse import lighting_of
 from grmm_core.light.relight import to_linear
 from grmm_core.light.shading import Response
 from grmm_core.session import FINAL_STRANDS, HairUse, Instance, RenderOptions, create_session
+from grmm_core.session.random_hair import random_hair
 from grmm_core.session.swinging import swinging
 
 CAMERA = Camera.orbit(160, 160, 20, fov=24)
@@ -424,3 +425,10 @@ def test_a_file_saved_without_a_photos_brows_has_none_painted_either(session, tm
     assert bare[brow].mean() > before[brow].mean() + 0.15
     np.testing.assert_allclose(reopened, bare, atol=0.03)
     assert not (load_avatar(tmp_path / "plucked.grmm").hair.groom.groups == BROWS).any()
+
+
+def test_random_people_with_dark_skin_have_no_fair_hair(session):
+    made = random_hair(12, 0.7).settings
+    assert made.melanin < 0.3  # the seed alone would give blond
+    for seed in (12, 16):
+        assert session.sample(seed).hair.melanin > 0.8

@@ -25,6 +25,7 @@ from ..photo.parser import MESH_PARTS, PhotoParts, part_map
 from ..photo.person import box_sum
 from ..photo.widening import widened
 from ..pictures.polygons import polygon
+from .long_beard import hanging
 
 if TYPE_CHECKING:
     from ..head import HeadModel
@@ -46,7 +47,7 @@ KEPT = (0.15, 0.65)  # of a strand's cover by what the photo shows, from one str
 FEWEST = 0.05  # of the strands; fewer are no beard, and were no brows, whose place the plainest groom takes
 SIDES = 0.006  # metres between a hidden strand's mirror image and what stands there
 # metres from a strand under frames of glasses to those that tell what it is; share from which none do
-FRAMES, MOSTLY = 0.012, 0.45
+FRAMES, MOSTLY = 0.012, 0.55
 BROW_THICKNESS = 0.7  # finer strands than the package's: what the photo shows of brows is painted on the skin below as well
 BEHIND = 0.004  # metres below the skin that are still seen
 
@@ -85,6 +86,8 @@ def face_hair(
             continue
         else:
             groom = _at_height(library_groom("thin", head.name, "brows"), track, view, head)
+        if name == "beard" and long:
+            groom = hanging(groom, cover, track.head_down, pixels_per_metre(track, view), view, head)
         grooms.append(groom)
         shown = dataclasses.replace(view, hair=cover)
         colored = with_colors(scalp.for_part(group), groom, [shown], head)
@@ -133,16 +136,21 @@ def _at_height(groom: Groom, track: PhotoTrack, view: HairView, head: HeadModel)
     pixels = view.camera.project(groom.posed(frames, view.vertices))[1]
     strand = groom.strand_of_point
     down = track.head_down
-    high, seen = (np.ptp(part) for part in (view.vertices @ track.turn[:, 1], view.camera.project(view.vertices)[1] @ down))
-    scale = float(seen / high / max(down @ down, 0.1))
-    lower = np.zeros(len(groom))
+    scale, lower = pixels_per_metre(track, view), np.zeros(len(groom))
     sides = {np.sign(track.landmarks[outline[0], 0] - track.landmarks[BRIDGE, 0]): outline for outline in OUTLINES}
     for side, outline in sides.items():
         own = np.sign(pixels[groom.offsets[:-1], 0] - track.landmarks[BRIDGE, 0]) == side
         if own.any():
-            off = (track.landmarks[list(outline), :2].mean(0) - pixels[own[strand]].mean(0)) @ down / max(scale, 1e-6)
+            off = (track.landmarks[list(outline), :2].mean(0) - pixels[own[strand]].mean(0)) @ down / scale
             lower[own] = np.clip(off, *LOWER)
     return lowered(groom, head, lower)
+
+
+def pixels_per_metre(track: PhotoTrack, view: HairView) -> float:
+    """How long a metre down the head is in a photo."""
+    down = track.head_down
+    high, seen = (np.ptp(part) for part in (view.vertices @ track.turn[:, 1], view.camera.project(view.vertices)[1] @ down))
+    return max(float(seen / high / max(down @ down, 0.1)), 1e-6)
 
 
 def _near(plane: np.ndarray, reach: float) -> np.ndarray:

@@ -16,7 +16,7 @@ from torch.nn import functional
 
 from ..avatar import EXTENSION, Avatar, Hair, save_avatar
 from ..hair.coloring import with_colors
-from ..hair.roots import SCALP
+from ..hair.roots import BEARD, GROUPS, SCALP
 from ..head import HeadModel
 from ..light.lamps import Lighting
 from ..light.relight import to_display, to_linear
@@ -69,6 +69,11 @@ def unlit_hair(
     if scalp.any() and not hardly_shown(views[0], parts[0]):
         settings = with_colors(hair.settings, hair.groom.select(scalp), views, head)
         hair = dataclasses.replace(hair, settings=settings)
+    beard, name = hair.groom.groups == BEARD, GROUPS[BEARD]
+    if beard.any():
+        shown = [dataclasses.replace(view, hair=seen.beard) for view, seen in zip(views, parts, strict=True)]
+        settings = with_colors(hair.parts.get(name, hair.settings.for_part(BEARD)), hair.groom.select(beard), shown, head)
+        hair = dataclasses.replace(hair, parts={**hair.parts, name: settings})
     return hair, unlit
 
 

@@ -24,7 +24,7 @@ from ..geometry.camera import Camera
 from ..hair.body import cut
 from ..hair.coloring import WornHair, around_head, reduced
 from ..hair.groom import TINTS, Groom, join
-from ..hair.roots import BROWS, GROUPS, SCALP
+from ..hair.roots import BEARD, BROWS, GROUPS, SCALP
 from ..hair.strands import between
 from ..head import HeadModel
 from ..model.grmm import GRMM
@@ -103,7 +103,7 @@ class Photo(NamedTuple):
 def textured(
     model: GRMM, avatar: Avatar, tracks: Sequence[PhotoTrack], parts: Sequence[PhotoParts]
 ) -> Avatar:  # fmt: skip
-    """Return an avatar whose brows, and scalp hair if they show it, have the colors of its photos where they show them.
+    """Return an avatar whose brows, beard, and scalp hair if they show it, have the colors of its photos where they show them.
 
     Args:
         model: With the avatar's own changes.
@@ -112,11 +112,11 @@ def textured(
         parts: What their pixels show.
     """
     hair = avatar.hair
-    if hair is None or hair.groom is None or not (hair.groom.groups == SCALP).any():
+    if hair is None or hair.groom is None:
         return avatar
     views = [hair_view(track, seen, model.head_model) for track, seen in zip(tracks, parts, strict=True)]
     hidden = all(map(hardly_shown, views, parts))
-    own = np.isin(hair.groom.groups, BROWS if hidden else (SCALP, BROWS))
+    own = np.isin(hair.groom.groups, (BROWS, BEARD) if hidden else (SCALP, BROWS, BEARD))
     if not own.any():
         return avatar
     groom = dataclasses.replace(hair.groom.select(own), tints=None)
@@ -160,6 +160,8 @@ def _photo(
     if (groom.groups == BROWS).any():
         brows = brow_cover(track, parts, view, head)
         view, sure = dataclasses.replace(view, hair=np.maximum(view.hair, brows)), np.maximum(sure, brows)
+    if (groom.groups == BEARD).any():
+        view, sure = dataclasses.replace(view, hair=np.maximum(view.hair, parts.beard)), np.maximum(sure, parts.beard)
     sure = around_head(dataclasses.replace(view, hair=sure)).hair
     view = around_head(view)
     height, width = (max(16, round(size * scale / 16) * 16) for size in view.hair.shape)  # the refinement network halves

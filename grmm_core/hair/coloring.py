@@ -23,7 +23,7 @@ from .drawing import Hiding, StrandGaussians, level_shares, strand_gaussians
 from .groom import Groom
 from .ready import ready
 from .ribbons import Eye
-from .roots import SCALP
+from .roots import BEARD, SCALP
 from .settings import HairSettings
 from .strands import DENSE
 
@@ -36,6 +36,8 @@ _SOME = 0.4  # likewise where there are few of these
 _FEW_PIXELS, _FEWEST = 20, 8  # of hair; of thin brows
 _BARE, _NEAR = 0.05, 0.02  # cover below which a pixel is skin, and how near to hair that is looked for, of the picture's height
 _CLOSED, _MOST_BETWEEN = 0.1, 0.35  # share of skin between strands below which none shows, and what is believed of it
+_LONG = (0.009, 0.018)  # metres: lengths of strands on the face between which less and less skin shows
+_AS_DARK = 0.25  # quantile of the colors of a beard's pixels: what is found for its hair alone is not darker
 _PULL = 2e-3  # towards pigment alone, where grey and red explain a color as well
 _ROUNDS = 4  # of finding a dye
 UNLIKELY = 0.02  # of a display color; if no pigment comes nearer, hair is dyed
@@ -128,7 +130,8 @@ def with_colors(
     wanted, cover = image[full].mean(0), strands.drawn(settings)[1]
     plain = full.sum() < _TELLING * cover.sum()
     if on_face:  # brows and beards let the skin through, and so do drawn ones
-        wanted = _without_skin(image, hair, full, cover)
+        least = np.quantile(image[full], _AS_DARK, axis=0) if (groom.groups == BEARD).all() else np.zeros(3)
+        wanted = _without_skin(image, hair, full, cover, _open(groom), least)
 
     @functools.cache  # each is asked for by several of its neighbours
     def distance(tried: HairSettings) -> float:
@@ -157,8 +160,20 @@ def with_colors(
     return best
 
 
-def _without_skin(image: np.ndarray, hair: np.ndarray, full: np.ndarray, cover: np.ndarray) -> np.ndarray:
-    """Mean color [3] of hair in the pixels `full` of a photo, less the skin that shows between strands that cover so much."""
+def _open(groom: Groom) -> float:
+    """Share of the skin between strands that may show: none between long ones, which lie over one another."""
+    steps = np.linalg.norm(np.diff(groom.points, axis=0), axis=1)
+    steps[groom.offsets[1:-1] - 1] = 0.0  # from one strand to the next
+    return float(np.interp(steps.sum() / len(groom), _LONG, (_MOST_BETWEEN, 0.0)))
+
+
+def _without_skin(
+    image: np.ndarray, hair: np.ndarray, full: np.ndarray, cover: np.ndarray, most: float, least: np.ndarray
+) -> np.ndarray:
+    """Mean color [3] of hair in the pixels `full` of a photo, less the skin that shows between strands that cover so much.
+
+    `most` is the share of skin that is believed, `least` the darkest color.
+    """
     mean, between = image[full].mean(0), 1.0 - float(cover[full].mean())
     near = np.zeros_like(full)
     rows, columns = np.nonzero(full)
@@ -167,8 +182,8 @@ def _without_skin(image: np.ndarray, hair: np.ndarray, full: np.ndarray, cover: 
     skin = near & (hair < _BARE)
     if between < _CLOSED or skin.sum() < _FEW_PIXELS:
         return mean
-    between = min(between, _MOST_BETWEEN)
-    color: np.ndarray = np.clip((mean - between * np.median(image[skin], 0)) / (1.0 - between), 0.0, 1.0)
+    between = min(between, most)
+    color: np.ndarray = np.clip((mean - between * np.median(image[skin], 0)) / (1.0 - between), np.minimum(least, mean), 1.0)
     return color
 
 

@@ -64,15 +64,16 @@ def unlit_hair(
             for instance, track, light in zip(shown, tracks, lights, strict=True)
         ]
         session.release(number)
-    scalp = hair.groom.groups == SCALP
+    groom = hair.groom
+    scalp = groom.groups == SCALP
     views = [hair_view(track, seen, head) for track, seen in zip(unlit, parts, strict=True)]
     if scalp.any() and not hardly_shown(views[0], parts[0]):
-        settings = with_colors(hair.settings, hair.groom.select(scalp), views, head)
+        settings = with_colors(hair.settings, groom.select(scalp), views, head)
         hair = dataclasses.replace(hair, settings=settings)
-    beard, name = hair.groom.groups == BEARD, GROUPS[BEARD]
+    beard, name = groom.groups == BEARD, GROUPS[BEARD]
     if beard.any():
-        shown = [dataclasses.replace(view, hair=seen.beard) for view, seen in zip(views, parts, strict=True)]
-        settings = with_colors(hair.parts.get(name, hair.settings.for_part(BEARD)), hair.groom.select(beard), shown, head)
+        bearded = [dataclasses.replace(view, hair=seen.beard) for view, seen in zip(views, parts, strict=True)]
+        settings = with_colors(hair.parts.get(name, hair.settings.for_part(BEARD)), groom.select(beard), bearded, head)
         hair = dataclasses.replace(hair, parts={**hair.parts, name: settings})
     return hair, unlit
 

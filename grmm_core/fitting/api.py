@@ -132,7 +132,8 @@ def _make(
     from ..session.presenting import save_presented
     from .hair_light import unlit_hair
     from .hair_stage import person_hair
-    from .hair_texture import textured, trimmed
+    from .hair_texture import textured
+    from .hair_trim import trimmed
     from .invert import invert, photo_errors, photo_pictures, photo_views
     from .photo_targets import left_out
     from .root_shade import shaded_scalp

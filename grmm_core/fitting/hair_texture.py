@@ -21,7 +21,6 @@ from torch.nn import functional
 
 from ..avatar import Avatar, Hair
 from ..geometry.camera import Camera
-from ..hair.body import cut
 from ..hair.coloring import WornHair, around_head, reduced
 from ..hair.groom import TINTS, Groom, join
 from ..hair.roots import BEARD, BROWS, GROUPS, SCALP
@@ -61,12 +60,6 @@ SLANTS = (0.05, 0.3)
 SOFT = 3.0  # pixels over which that surface is smoothed: locks are no slopes
 OTHERS = 0.5  # share of what a place shows in that must be hair; what hangs before the face or the background is not believed
 GUESS = 0.12  # that is added at most to a color that no photo shows
-# of strands that are cut: pixels that a place must show in, hair in these below which it is wrong and above which right, the
-# part of a strand below which it is taken away, and the part of all strands from which on the photo is not believed
-SEEN, WRONG, RIGHT, SHORTEST, MOST_CUT = 0.06, 0.3, 0.6, 0.2, 0.4
-LIKELY = 0.5  # of a pixel, from where on it is hat, or hair
-ROOT = 3  # places of a strand of which the first that is seen tells what it stands on
-FACING = 0.15  # cosine between the skin's normal and the view, below which that is not believed: at the head's sides
 CELL = 0.006  # metres: of the grid on which colors spread
 NEAR, FAR = 1.2, 4.0  # cells that colors spread to other strands, and to the other side of the head
 THIN_NEAR, THIN_FAR = 0.15, 0.3  # how much must be known around a place to count as half known
@@ -120,18 +113,19 @@ def textured(
     if not own.any():
         return avatar
     groom = dataclasses.replace(hair.groom.select(own), tints=None)
-    onto = [Onto(photo, len(groom)) for photo in _photos(model, avatar, hair, groom, tracks, parts, RIM)]
+    onto = [Onto(photo, len(groom)) for photo in photos_of(model, avatar, hair, groom, tracks, parts, RIM)]
     places = places_of(groom, model.head_model)
     tints, known = reconstructed(onto, places)
     colored = dataclasses.replace(groom, tints=spread(places, tints, known))
-    return _joined(avatar, hair, colored, hair.groom.select(~own))
+    return joined(avatar, hair, colored, hair.groom.select(~own))
 
 
-def _joined(avatar: Avatar, hair: Hair, some: Groom, others: Groom) -> Avatar:
+def joined(avatar: Avatar, hair: Hair, some: Groom, others: Groom) -> Avatar:
+    """An avatar with strands of two kinds."""
     return dataclasses.replace(avatar, hair=dataclasses.replace(hair, groom=join([some, others])))
 
 
-def _photos(
+def photos_of(
     model: GRMM, avatar: Avatar, hair: Hair, groom: Groom, tracks: Sequence[PhotoTrack], parts: Sequence[PhotoParts],
     rim: int = 0,
 ) -> list[Photo]:  # fmt: skip
@@ -185,40 +179,6 @@ def _photo(
     facing = (axes[:, 2] * way).sum(1) / np.linalg.norm(way, axis=1)
     skin = drawn.image.cpu()
     return Photo(torch.from_numpy(image), cover, told, counts, skin, Gaussians(*strands), rows, places, camera, facing)
-
-
-def trimmed(
-    model: GRMM, avatar: Avatar, tracks: Sequence[PhotoTrack], parts: Sequence[PhotoParts]
-) -> Avatar:  # fmt: skip
-    """Return an avatar without the ends of strands that hang where a photo shows skin or what is behind the person.
-
-    Under a hat hair is plain, and nothing of where it begins is seen.
-    """
-    hair = avatar.hair
-    if any((seen.hat > LIKELY).sum() > (seen.hair > LIKELY).sum() for seen in parts):
-        return avatar
-    if hair is None or hair.groom is None or not (hair.groom.groups == SCALP).any():
-        return avatar
-    scalp = hair.groom.groups == SCALP
-    groom = hair.groom.select(scalp)
-    left, rootless = np.ones(len(groom)), np.zeros(len(groom), bool)
-    for photo in _photos(model, avatar, hair, groom, tracks, parts):
-        every, hairy = Onto(photo, len(groom)).shares()
-        wrong, right = (every > SEEN) & (hairy < WRONG), (every > SEEN) & (hairy > RIGHT)
-        last = TINTS - 1 - right[:, ::-1].argmax(1)  # the last place that is right; short hair may have none, and stays
-        beyond = wrong & (np.arange(TINTS) > last[:, None]) & right.any(1)[:, None]
-        first = np.where(beyond.any(1), beyond.argmax(1), TINTS)
-        seen = every > SEEN
-        first_seen = seen.argmax(1)
-        bare = wrong[np.arange(len(groom)), first_seen] & (photo.facing > FACING) & (first_seen < ROOT)
-        rootless |= seen.any(1) & bare
-        left = np.minimum(left, (first - 0.5) / (TINTS - 1))
-    if ((left < 1.0) | rootless).mean() > MOST_CUT:
-        return avatar
-    even = groom.resampled(int(groom.counts.max()))
-    points = cut(even.points.reshape(len(even), -1, 3), left.clip(0.0)).reshape(-1, 3)
-    kept = dataclasses.replace(even, points=points).select((left > SHORTEST) & ~rootless)
-    return _joined(avatar, hair, kept, hair.groom.select(~scalp))
 
 
 def reconstructed(onto: Sequence[Onto], places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -13,7 +13,7 @@ from grmm_core.avatar import save_avatar
 from grmm_core.controls.frame import Controls
 from grmm_core.controls.names import ALIGNED_NAMES, EXPRESSION_NAMES
 from grmm_core.fitting import photo_targets
-from grmm_core.fitting.hair_texture import trimmed
+from grmm_core.fitting.hair_trim import trimmed
 from grmm_core.fitting.invert import photo_pictures, photo_views
 from grmm_core.fitting.photo_light import MATT
 from grmm_core.fitting.photo_targets import aligned_weights, bare_pixels
@@ -145,6 +145,20 @@ def test_hair_under_a_hat_keeps_its_roots(session, model):
     hat[: SIDE // 3] = 1.0
     assert trimmed(model, avatar, [track], [parts_of(nothing, hat=hat)]) is avatar
     assert trimmed(model, avatar, [track], [parts_of(nothing)]) is not avatar, "where there is no hat bare skin has none"
+
+
+def test_hair_that_hangs_out_from_behind_a_head_ends_where_the_photo_has_none(session, model, tmp_path):
+    light, head = light_from_a_side(), model.head_model
+    avatar, track = colored(session, light, library_groom("bob", head.name))
+    track = dataclasses.replace(track, image=np.full((SIDE, SIDE, 3), 0.3))
+    shown = worn(session, avatar, head, track.camera, light, tmp_path / "person.grmm")["hair"][..., 0]
+    beside = np.flatnonzero(shown.sum(1) > 1.0)
+    end = round(0.6 * beside[0] + 0.4 * beside[-1])  # of the photo's hair: ears and neck are free in it
+    shorter = shown * (np.arange(SIDE) < end)[:, None]
+    cut = trimmed(model, avatar, [track], [parts_of(1.0 - shorter, hair=shorter)])
+    left = worn(session, cut, head, track.camera, light, tmp_path / "cut.grmm")["hair"][..., 0]
+    assert left[end + 4 :].sum() < 0.6 * shown[end + 4 :].sum()  # places lie two centimetres apart; before, 0.98
+    assert left[:end].sum() > 0.9 * shown[:end].sum()
 
 
 def test_the_mouth_of_a_photos_light_is_the_lips_and_the_rest_is_as_before(session, model):

@@ -1,0 +1,86 @@
+"""Strands cut where a photo shows skin or what is behind the person: the groom is one of the package's, and the photo's is not.
+
+What a strand is seen to cover tells where it is wrong; what hides behind other strands would show once these are cut, and is
+asked where it lies. Imports torch.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from ..avatar import Avatar
+from ..geometry.zbuffer import triangle_depth
+from ..hair.body import cut
+from ..hair.coloring import hiding_faces
+from ..hair.groom import TINTS, Groom
+from ..hair.roots import SCALP
+from ..head import HeadModel
+from ..model.grmm import GRMM
+from ..photo.parser import PhotoParts
+from ..photo.widening import widened
+from .hair_texture import Onto, Photo, joined, photos_of
+from .invert import photo_model_inputs
+from .types import PhotoTrack
+
+# pixels that a place must show in, hair in these below which it is wrong and above which right, the part of a strand below
+# which it is taken away, and the part of all hair from which on the photo is not believed
+SEEN, WRONG, RIGHT, SHORTEST, MOST_CUT = 0.06, 0.3, 0.6, 0.2, 0.5
+LIKELY = 0.5  # of a pixel, from where on it is hat, or hair, or tells something
+ROOT = 3  # places of a strand of which the first that is seen tells what it stands on
+FACING = 0.15  # cosine between the skin's normal and the view, below which that is not believed: at the head's sides
+RIM = 2  # pixels around hair in which hidden strands may lie
+
+
+def trimmed(model: GRMM, avatar: Avatar, tracks: Sequence[PhotoTrack], parts: Sequence[PhotoParts]) -> Avatar:
+    """Return an avatar without the ends of strands that hang where a photo shows skin or what is behind the person.
+
+    Under a hat hair is plain, and nothing of where it begins is seen.
+    """
+    hair = avatar.hair
+    if any((seen.hat > LIKELY).sum() > (seen.hair > LIKELY).sum() for seen in parts):
+        return avatar
+    if hair is None or hair.groom is None or not (hair.groom.groups == SCALP).any():
+        return avatar
+    scalp = hair.groom.groups == SCALP
+    groom = hair.groom.select(scalp)
+    left, rootless = np.ones(len(groom)), np.zeros(len(groom), bool)
+    photos = photos_of(model, avatar, hair, groom, tracks, parts)
+    for index, (photo, track) in enumerate(zip(photos, tracks, strict=True)):
+        every, hairy = Onto(photo, len(groom)).shares()
+        seen = every > SEEN
+        with torch.no_grad():
+            vertices = model.mesh(photo_model_inputs(model, avatar, track, index)[0]).vertices.cpu().numpy()
+        beside, within = _hidden(groom, model.head_model, vertices, photo)
+        wrong, right = np.where(seen, hairy < WRONG, beside), np.where(seen, hairy > RIGHT, within)
+        last = TINTS - 1 - right[:, ::-1].argmax(1)  # the last place that is right; short hair may have none, and stays
+        beyond = wrong & (np.arange(TINTS) > last[:, None]) & right.any(1)[:, None]
+        first = np.where(beyond.any(1), beyond.argmax(1), TINTS)
+        behind = wrong.any(1) & ~right.any(1) & ~wrong[:, 0]  # what is seen of it hangs out from behind the head
+        first = np.where(behind, wrong.argmax(1), first)
+        first_seen = seen.argmax(1)
+        bare = (seen & wrong)[np.arange(len(groom)), first_seen] & (photo.facing > FACING) & (first_seen < ROOT)
+        rootless |= seen.any(1) & bare
+        left = np.minimum(left, (first - 0.5) / (TINTS - 1))
+    if np.where(rootless, 1.0, 1.0 - left.clip(0.0)).mean() > MOST_CUT:
+        return avatar
+    even = groom.resampled(int(groom.counts.max()))
+    points = cut(even.points.reshape(len(even), -1, 3), left.clip(0.0)).reshape(-1, 3)
+    kept = dataclasses.replace(even, points=points).select((left > SHORTEST) & ~rootless)
+    return joined(avatar, hair, kept, hair.groom.select(~scalp))
+
+
+def _hidden(groom: Groom, head: HeadModel, vertices: np.ndarray, photo: Photo) -> tuple[np.ndarray, np.ndarray]:
+    """Places of strands before or beside the head that lie beside a photo's hair, and in it, [N, TINTS] bool each."""
+    even = groom.resampled(TINTS)
+    local, pixels = photo.camera.project(even.posed(even.frames(np.asarray(head.v_template, float), head.faces), vertices))
+    depth = triangle_depth(np.asarray(vertices, float)[hiding_faces(head)], photo.camera)
+    column, row = (pixels[:, k].astype(int).clip(0, size - 1) for k, size in ((0, depth.shape[1]), (1, depth.shape[0])))
+    inside = (pixels >= 0.0).all(1) & (pixels < depth.shape[::-1]).all(1)
+    told = inside & (local[:, 2] < depth[row, column]) & (photo.counts.numpy() > LIKELY)[row, column]
+    around = widened(photo.hair[None], RIM)[0].numpy()
+    beside, within = told & (around < WRONG)[row, column], told & (photo.hair.numpy() > RIGHT)[row, column]
+    return beside.reshape(len(groom), TINTS), within.reshape(len(groom), TINTS)

@@ -25,7 +25,8 @@
 ``hair_stage``         a person's hair, for weights without hair; ``hair_view``: what a photo says of it; ``hair_grain``: how
                        strands lie, straight, wavy or coily; ``hair_match``: the groom that photos show; ``hair_shape``: bent
                        to them, ``strays`` left out, and as flat behind (``hidden_hair``); ``hair_trim``: cut and
-                       ``hair_texture``: colored by them; ``root_shade``: the skin under it; ``face_hair``: brows, beard (``long_beard``), lashes
+                       ``hair_texture``: colored by them; ``root_shade``: the skin under it; ``face_hair``: brows, beard
+                       (``long_beard``), lashes
 ``settling``           what the avatar as a session draws it still lacks; ``mouth_colors``: lips and teeth at
                        rest; ``eye_colors``: irises, whites and the line of lashes
 ``invert``             tracks to an avatar by both stages

@@ -14,6 +14,7 @@ FULLEST_BROWS = "bushy"  # of the package: they cover all of where brows are
 LOWER = (-0.009, 0.009)  # metres by which brows may be moved down
 # metres: up to number 8 the capture studio grew brows as much higher than the package has them, and tinted the skin there
 PAINTED_HIGHER = 0.006
+_EVERY = 4  # of its strands, which tell where that is
 _AROUND = 0.008  # metres around brows in which skin is looked for
 _SLICES = np.linspace(0.005, 0.06, 12)  # metres from the plane of symmetry: heights are compared in slices between these
 _FEW = 3  # strands in a slice that tell one
@@ -30,9 +31,7 @@ def lowered(groom: Groom, head: HeadModel, down: np.ndarray) -> Groom:
     template, faces = np.asarray(head.v_template, np.float64), np.asarray(head.faces)
     frames = groom.frames(template, faces)
     points = groom.posed(frames, template)
-    skin = np.flatnonzero(~head.marked("lashes", "left_eyeball", "right_eyeball")[faces].any(1))
-    middles, reach = template[faces[skin]].mean(1), np.abs(down).max(initial=0.0) + _AROUND
-    skin = skin[((middles > points.min(0) - reach) & (middles < points.max(0) + reach)).all(1)]
+    skin = _skin_near(head, points, np.abs(down).max(initial=0.0) + _AROUND)
     surface, normals = faces[skin], vertex_normals(template, faces)
 
     def on_skin(places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -56,10 +55,24 @@ def lowered(groom: Groom, head: HeadModel, down: np.ndarray) -> Groom:
     return bind(template, faces, template, skin[triangles], weights, points, groom.offsets, groom.widths, groom.groups)
 
 
-def painted(head: HeadModel) -> Groom:
-    """Brows over all of the skin that weights of such captures have a tint of brows on."""
+def painted(head: HeadModel) -> np.ndarray:
+    """Where weights of such captures have a tint of brows on their skin: places on the mean head, metres, [N, 3]."""
+    template, faces = np.asarray(head.v_template, np.float64), np.asarray(head.faces)
     fullest = library_groom(FULLEST_BROWS, head.name, GROUPS[BROWS])
-    return lowered(fullest, head, np.full(len(fullest), -PAINTED_HIGHER))
+    roots = fullest.frames(template, faces).at(template)[0][::_EVERY] + np.array([0.0, PAINTED_HIGHER, 0.0])
+    surface = faces[_skin_near(head, roots, _AROUND)]
+    triangles, weights, _ = closest_on_surface(roots, template, surface)
+    places: np.ndarray = (template[surface[triangles]] * weights[..., None]).sum(1)
+    return places
+
+
+def _skin_near(head: HeadModel, points: np.ndarray, reach: float) -> np.ndarray:
+    """Numbers of the skin's triangles in the box around points [N, 3], widened by so many metres."""
+    template, faces = np.asarray(head.v_template, np.float64), np.asarray(head.faces)
+    skin = np.flatnonzero(~head.marked("lashes", "left_eyeball", "right_eyeball")[faces].any(1))
+    middles = template[faces[skin]].mean(1)
+    near: np.ndarray = skin[((middles > points.min(0) - reach) & (middles < points.max(0) + reach)).all(1)]
+    return near
 
 
 def at_height_of(groom: Groom, usual: Groom, own: Groom, head: HeadModel) -> Groom:

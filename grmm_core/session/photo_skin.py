@@ -12,9 +12,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..avatar.deltas import APPEARANCE, rounded
+from ..compute.recent import Recent
 from ..controls.frame import Controls
 from ..geometry.libraries import to_numpy
 from ..geometry.points import squared_distances
+from ..hair.brows import painted
 from ..hair.groom import Groom
 from ..hair.pigment import albedos
 from ..hair.roots import SCALP
@@ -79,11 +81,14 @@ def plucked(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, gone: Groo
     return _plain(target, seen_colors(evaluator, target, inputs, 1.0), hairs, PLUCKED, DARKER)
 
 
-def untinted(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, brows: Groom) -> np.ndarray:
-    """Likewise without the tint of brows that weights have learned on bare skin, about the roots of such brows."""
-    template = np.asarray(target.model.head_model.v_template, np.float64)
-    roots = brows.frames(template, target.model.head_model.faces).at(template)[0]
-    return _plain(target, seen_colors(evaluator, target, inputs, 1.0), roots, TINTED, FAINTER, MOLE)
+def untinted(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs) -> np.ndarray:
+    """Likewise without the tint of brows that weights have learned on bare skin."""
+    head = target.model.head_model
+    brows = _TINT.get((head,), lambda: painted(head))
+    return _plain(target, seen_colors(evaluator, target, inputs, 1.0), brows, TINTED, FAINTER, MOLE)
+
+
+_TINT: Recent[np.ndarray] = Recent(2)
 
 
 def _plain(

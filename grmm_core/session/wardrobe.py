@@ -19,7 +19,7 @@ from ..errors import ShapeError
 from ..geometry.camera import Camera
 from ..geometry.libraries import to_numpy, zeros
 from ..hair.body import on_person
-from ..hair.brows import FULLEST_BROWS, at_height_of, painted
+from ..hair.brows import FULLEST_BROWS, at_height_of
 from ..hair.contact import moved as displaced
 from ..hair.drawing import Hiding, level_shares, nearer, raised_by, strand_gaussians
 from ..hair.groom import Groom, join
@@ -88,7 +88,7 @@ class Worn:
         own: The hair is that of the avatar's file, or was made of it.
         photo: It is also that of a photo, which shows the skin under it.
         gone: Brows and beard of a photo that are not worn; it has painted the skin under them. None where there are none.
-        tint: Brows of which the weights have a tint on bare skin. None where they have none.
+        tinted: The weights have a tint of brows on bare skin.
     """
 
     layers: tuple[Layer, ...]
@@ -97,7 +97,7 @@ class Worn:
     own: bool
     photo: bool
     gone: Groom | None = None
-    tint: Groom | None = None
+    tinted: bool = False
 
     @property
     def key(self) -> tuple[str, ...]:
@@ -152,14 +152,13 @@ class Wardrobe:
         parts = [use.parts.get(part) or kept.get(part) or settings.for_part(group) for group, part in enumerate(GROUPS)]
         of_own, from_photos = use.groom == OWN_HAIR or use.of_own, target.avatar.provenance.from_photos
         bared = instead and (not hairless or (not of_own and from_photos))
-        gone = tint = None
-        if hairless and not from_photos and head == HEAD:
-            tint = _kept(self._placed, ("tint", head), lambda: painted(target.model.head_model))
+        gone = None
         if from_photos and hairless and own is not None and own.groom is not None:
             others = [group for group in FACE if names[group] != OWN_HAIR]
             gone = own.groom.select(np.isin(own.groom.groups, others))
         gone = gone if gone is not None and len(gone) else None
-        return Worn(layers, (settings, *parts[1:]), combed or bared, of_own, of_own and from_photos, gone, tint)
+        tinted = hairless and not from_photos and head == HEAD
+        return Worn(layers, (settings, *parts[1:]), combed or bared, of_own, of_own and from_photos, gone, tinted)
 
     def _package(self, target: OpenAvatar, part: str, name: str) -> Layer:
         """A part of the package's; brows at the height of the person's own."""
@@ -214,7 +213,7 @@ class Wardrobe:
         """
         head, photo = target.model.head_model, target.avatar.provenance.from_photos
         on_face = any(np.isin(layer.groom.groups, FACE).any() for layer in worn.layers)
-        if not (worn.flat or on_face) and worn.gone is worn.tint is None:
+        if not (worn.flat or on_face or worn.tinted) and worn.gone is None:
             return None
 
         def bare(own: bool) -> Skin:
@@ -250,8 +249,8 @@ class Wardrobe:
                     share, color = share + part[:, 0] * skin.share, color + part * cap_color(skin, there, settings, rig)
             if worn.gone is not None:
                 left = left * plucked(evaluator, target, at_rest(target, inputs), worn.gone)
-            if worn.tint is not None:
-                left = left * untinted(evaluator, target, at_rest(target, inputs), worn.tint)
+            if worn.tinted:
+                left = left * untinted(evaluator, target, at_rest(target, inputs))
             return Cap(*map(self._engine.array, (share, color, left)))
 
         scalp = worn.settings[SCALP]

@@ -8,7 +8,7 @@ import pytest
 from grmm_core.avatar import Hair
 from grmm_core.avatar.types import Provenance
 from grmm_core.hair import HairSettings, join
-from grmm_core.hair.brows import lowered
+from grmm_core.hair.brows import lowered, painted
 from grmm_core.hair.packaged import library_groom
 from grmm_core.hair.roots import GROUPS
 from grmm_core.hair.strands import blocks_of
@@ -224,21 +224,20 @@ def test_where_the_weights_have_a_tint_of_brows_skin_is_plain(model):
     head, layout = model.head_model, model.layout
     vertices, faces = np.asarray(head.v_template, float), np.asarray(head.faces)
     person = _person(model, from_photos=False)
-    tint = Wardrobe(None).worn(person, HairUse("own", brows="none")).tint
-    usual, roots = (
-        brows.frames(vertices, faces).at(vertices)[0] for brows in (library_groom("bushy", head.name, "brows"), tint)
-    )
+    assert Wardrobe(None).worn(person, HairUse("own", brows="none")).tinted
+    roots = painted(head)
+    usual = library_groom("bushy", head.name, "brows").frames(vertices, faces).at(vertices)[0]
     assert roots[:, 1].mean() - usual[:, 1].mean() == pytest.approx(0.006, abs=0.001)
 
     points = (vertices[faces[layout.face]] * layout.barycentric[..., None]).sum(1)
     outer = np.asarray(head.uv_islands)[layout.face] == 0
-    apart = np.sqrt(((points[:, None] - roots[::4]) ** 2).sum(2).min(1))
+    apart = np.sqrt(((points[:, None] - roots) ** 2).sum(2).min(1))
     brow, beside = outer & (apart < 0.0025), outer & (apart > 0.006)
     mole = np.flatnonzero(brow)[::40]
     tinted = np.where(brow[:, None], 0.93 * np.asarray(SKIN), SKIN).astype(np.float32)
     tinted[mole] = 0.4 * np.asarray(SKIN)
     evaluator = SimpleNamespace(appearance=lambda target, inputs, eye: (tinted,))
-    bared = tinted * untinted(evaluator, person, SimpleNamespace(), tint)
+    bared = tinted * untinted(evaluator, person, SimpleNamespace())
     np.testing.assert_array_equal(bared[mole], tinted[mole])
     np.testing.assert_array_equal(bared[beside], tinted[beside])
     brow[mole] = False

@@ -9,7 +9,7 @@ import numpy as np
 from ..hair.body import cut
 from ..hair.coloring import HairView
 from ..hair.groom import Groom
-from ..hair.strands import lengthened, lengths_of
+from ..hair.strands import lengthened
 from ..head import HeadModel
 
 POINTS = 12  # of a strand
@@ -40,7 +40,7 @@ def hanging(groom: Groom, cover: np.ndarray, down: np.ndarray, scale: float, vie
     even = groom.resampled(POINTS)
     points = even.points.reshape(len(even), POINTS, 3)
     missing = (np.quantile(np.stack([columns, rows], 1) @ down, LOWEST) - np.quantile(low, ENDS)) / scale
-    usual = float(lengths_of(points)[low >= np.quantile(low, LOW)].mean())
+    usual = float(groom.lengths[low >= np.quantile(low, LOW)].mean())
     times = float(np.clip(1.0 + missing / usual, 1.0, LONGEST))
     heights = groom.frames(template, head.faces).at(template)[0][:, 1]
     each = 1.0 + (times - 1.0) * np.interp(heights, CHIN[::-1], (1.0, 0.0))

@@ -162,9 +162,7 @@ def with_colors(
 
 def _open(groom: Groom) -> float:
     """Share of the skin between strands that may show: none between long ones, which lie over one another."""
-    steps = np.linalg.norm(np.diff(groom.points, axis=0), axis=1)
-    steps[groom.offsets[1:-1] - 1] = 0.0  # from one strand to the next
-    return float(np.interp(steps.sum() / len(groom), _LONG, (_MOST_BETWEEN, 0.0)))
+    return float(np.interp(groom.lengths.mean(), _LONG, (_MOST_BETWEEN, 0.0)))
 
 
 def _without_skin(

@@ -73,6 +73,13 @@ class Groom:
         return np.diff(self.offsets)
 
     @property
+    def lengths(self) -> np.ndarray:
+        """Of the strands, metres, [N]."""
+        steps = np.linalg.norm(np.diff(self.points.astype(float), axis=0), axis=1)
+        steps[self.offsets[1:-1] - 1] = 0.0  # from one strand to the next
+        return np.asarray(np.add.reduceat(np.append(steps, 0.0), self.offsets[:-1]))
+
+    @property
     def strand_of_point(self) -> np.ndarray:
         """Strand of each point, [P]."""
         return np.repeat(np.arange(len(self)), self.counts)

@@ -147,9 +147,7 @@ def _roots(head: HeadModel, grooms: Sequence[Groom]) -> np.ndarray:
         groom = whole.select(whole.groups == SCALP)
         if not len(groom):
             continue
-        steps = np.linalg.norm(np.diff(groom.points.astype(float), axis=0), axis=1)
-        steps[groom.offsets[1:-1] - 1] = 0.0  # from one strand to the next
-        lengths = np.add.reduceat(np.append(steps, 0.0), groom.offsets[:-1]).clip(max=REACH)
+        lengths = groom.lengths.clip(max=REACH)
         np.add.at(found, faces[groom.triangles], groom.weights * (lengths * groom.widths[:, 0])[:, None])
     for _ in range(SPREAD):
         found = smoothed(found, faces)

@@ -1,8 +1,9 @@
 """Where the head's outline should be in a photo: ears and cheeks against background, hair or clothes.
 
 The person's mask alone does not show the head's outline, for it has hair in it. What is looked for is the end of the *skin*:
-from every point of the mesh's outline outward to where person and skin color end, or inward to where the person begins. Used
-by `photometric_stage`. Needs numpy only.
+from every point of the mesh's outline outward to where person and skin color end, or inward to where the person begins. What
+the parser takes for hair, neck, clothes or a thing is no skin of face and ears, whatever its color: fair hair over an ear would
+draw the head wider. Used by `photometric_stage`. Needs numpy only.
 """
 
 from __future__ import annotations
@@ -75,6 +76,7 @@ def find_outline(
     mask: np.ndarray,
     valid: np.ndarray,
     unit: float,
+    others: np.ndarray | None = None,
 ) -> OutlinePoints:
     """Match the mesh's outline with the end of the skin.
 
@@ -86,6 +88,7 @@ def find_outline(
         mask: The person, 0..1, [H, W].
         valid: 1 where the photo has pixels, [H, W].
         unit: Eye distance in pixels.
+        others: What is no skin of face and ears, hair and neck as well, 0..1, [H, W]; None: nothing is known.
 
     Returns:
         Possibly no points at all.
@@ -95,6 +98,7 @@ def find_outline(
     depth = triangle_depth(vertices[head.faces], camera)
     triangles, barycentric, position, normals = _mesh_outline(head, pixels, depth, unit)
     skin = skin_map(image, visible_skin(head, vertices, camera, depth)) * mask
+    skin = skin if others is None else skin * (1.0 - others)
     offsets = np.linspace(-REACH_IN, REACH_OUT, _STEPS) * unit
     path = position[:, None] + offsets[:, None] * normals[:, None]  # [N, T, 2]
     skin_along, mask_along = bilinear(skin, path), bilinear(mask, path)

@@ -2,8 +2,8 @@
 
 After the landmark stage the outline of the mesh is matched with the end of the skin (`outline`), the matches are added to the
 landmarks as terms of the same least squares, and both are solved again, a few times. The refinement is kept only where the
-landmarks stay as near as they were and the shape changes little. The light is estimated on the result. Used by `track`.
-Needs numpy only.
+landmarks stay as near as they were and the shape changes little. Used by `track`; `pixel_stage` takes the same terms. Needs
+numpy only.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from ..geometry.camera import Camera
 from ..head.head_model import HeadModel
 from .landmark_stage import LandmarkFit, finished, similarity, with_shape
-from .outline import REGIONS, OutlinePoints, find_outline
+from .outline import REGIONS, find_outline
 from .point_rig import LandmarkRig, PointRig
 from .solver import Term, solve
 
@@ -25,7 +25,7 @@ logger = logging.getLogger(__name__)
 
 ROUNDS = 3
 ROUND_ITERATIONS = 4
-OUTLINE_SIGMA = 0.08  # eye distances
+OUTLINE_SIGMA = 0.05  # eye distances
 MIN_POINTS = 8
 MAX_LANDMARK_LOSS = 0.004  # eye distances by which the mean landmark error may grow
 MAX_SHAPE_CHANGE = 0.0015  # metres, mean over face and ears; outlines change a shape by half a millimetre, wrong ones by three
@@ -41,6 +41,7 @@ class Appearance:
         valid: 1 where the photo has pixels, [H, W].
         left, top: Its upper left corner in the photo, pixels.
         scale: Its pixels per photo pixel.
+        others: What the photo shows beside skin of face and ears, 0..1, [H, W], or None.
     """
 
     image: np.ndarray
@@ -49,6 +50,7 @@ class Appearance:
     left: float
     top: float
     scale: float
+    others: np.ndarray | None = None
 
     def camera(self, camera: Camera) -> Camera:
         """The whole photo's camera for this picture."""
@@ -83,13 +85,9 @@ def refine(
             progress(number / ROUNDS)
         photos, count = [], 0
         for index, (photo, picture) in enumerate(zip(fit.problem.photos, pictures, strict=True)):
-            points = _outline(result, index, picture, rig)
-            terms = fit.problem.photos[index].terms
-            if len(points.distance) >= MIN_POINTS:
-                count += len(points.distance)
-                # hair over ears errs alike in all photos of a person: together they weigh as one
-                terms = (*terms, _term(points, picture, rig, fit.units[index] * len(pictures) ** 0.5))
-            photos.append(replace(photo, terms=terms))
+            found = outline_terms(result, index, picture, rig)
+            count += sum(len(term.target) for term in found)
+            photos.append(replace(photo, terms=(*fit.problem.photos[index].terms, *found)))
         if not count:
             return fit
         problem = replace(fit.problem, photos=tuple(photos))
@@ -115,17 +113,24 @@ def posed(fit: LandmarkFit, index: int, rig: LandmarkRig) -> np.ndarray:
     return head.vertices(fit.shape, view.expression, head.pose_of(view.expression, view.pose))
 
 
-def _outline(fit: LandmarkFit, index: int, picture: Appearance, rig: LandmarkRig) -> OutlinePoints:
-    return find_outline(
-        rig.head, posed(fit, index, rig), picture.camera(fit.cameras[index]), picture.image, picture.mask, picture.valid,
-        fit.units[index] * picture.scale,
-    )  # fmt: skip
+def outline_terms(fit: LandmarkFit, index: int, picture: Appearance, rig: LandmarkRig) -> tuple[Term, ...]:
+    """Where a photo shows the outline of the head as it is fitted, in pixels of the photo: a term, or none of too few points.
 
-
-def _term(points: OutlinePoints, picture: Appearance, rig: LandmarkRig, unit: float) -> Term:
+    Args:
+        fit: The head.
+        index: Of the photo.
+        picture: Of the photo.
+        rig: Landmarks of the head model.
+    """
+    unit, camera, vertices = fit.units[index], picture.camera(fit.cameras[index]), posed(fit, index, rig)
+    shown = picture.image, picture.mask, picture.valid
+    points = find_outline(rig.head, vertices, camera, *shown, unit * picture.scale, picture.others)
+    if len(points.distance) < MIN_POINTS:
+        return ()
     target = points.target / picture.scale + np.array([picture.left, picture.top])
-    sigma = np.full(len(target), OUTLINE_SIGMA * unit)
-    return Term(PointRig(rig.head, points.triangles, points.barycentric), target, sigma, points.normals)
+    # hair over ears errs alike in all photos of a person: together they weigh as one
+    sigma = np.full(len(target), OUTLINE_SIGMA * unit * len(fit.units) ** 0.5)
+    return (Term(PointRig(rig.head, points.triangles, points.barycentric), target, sigma, points.normals),)
 
 
 def _errors(fit: LandmarkFit) -> list[float]:

@@ -2,9 +2,10 @@
 
 A quick avatar of the photos (eq. 19 in few steps) is drawn as tracked. Where a point of its skin or lips differs from
 the photo, the difference over the picture's gradient is the shift that would mend it (Lucas and Kanade 1981): such shifts,
-along the gradient only, are further terms of the landmarks' least squares, and all unknowns are solved together, from coarse
-to fine. Both pictures are compared without what varies slowly, for light and skin tone are not known exactly. The result is
-kept only where it makes the pictures agree better and the landmarks do not contradict it.
+along the gradient only, are further terms of the landmarks' least squares, as is where the skin ends (`outline`), which
+pixels inside it hardly tell. All unknowns are solved together, from coarse to fine. Both pictures are compared without what
+varies slowly, for light and skin tone are not known exactly. The result is kept only where it makes the pictures agree better
+and the landmarks do not contradict it.
 
 Called by `api` and the evaluation. Imports torch.
 """
@@ -34,11 +35,13 @@ from .landmark_stage import LandmarkFit, finished, restarted, with_shape
 from .objective import decode, draw, relit
 from .person_lights import found_lights, trust_in
 from .photo_targets import FitView, bare_pixels, fit_view
+from .photometric_stage import outline_terms
 from .point_rig import LandmarkRig, PointRig
 from .presets import CodeSettings
 from .recoloring import PhotoLight, recolor
 from .solver import Term, solve
 from .surface import Surface, texel_surface
+from .track import appearance_of
 from .types import PhotoTrack
 
 logger = logging.getLogger(__name__)
@@ -103,6 +106,7 @@ def _believed(moved: Sequence[PhotoTrack], tracks: Sequence[PhotoTrack]) -> bool
 def _rounds(tracks: list[PhotoTrack], appearance: _Appearance, rig: LandmarkRig, told: Share) -> list[PhotoTrack]:
     """Tracks that agree better with pictures of the avatar, from coarse to fine; `tracks` where they do not."""
     fit, now, differences = restarted(tracks, rig), tracks, []
+    pictures = [appearance_of(track, rig.head) for track in tracks]
     for number, blur in enumerate((*BLURS, BLURS[0])):
         told(number / (len(BLURS) + 1))
         compared = [appearance.compared(track, index, blur) for index, track in enumerate(now)]
@@ -112,7 +116,9 @@ def _rounds(tracks: list[PhotoTrack], appearance: _Appearance, rig: LandmarkRig,
         if number == len(BLURS):
             break
         photos = tuple(
-            replace(photo, terms=(*photo.terms, found.term(rig.head, now[index])))
+            replace(
+                photo, terms=(*photo.terms, found.term(rig.head, now[index]), *outline_terms(fit, index, pictures[index], rig))
+            )
             for index, (photo, found) in enumerate(zip(fit.problem.photos, compared, strict=True))
         )
         problem = replace(fit.problem, photos=photos)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -22,6 +22,7 @@ from ..photo.faces import Face, find_faces, to_pixels
 from ..photo.head_landmarks import head_landmarks
 from ..photo.landmarks import HeadLandmarks
 from ..photo.load import Photo, PhotoFile, check_proportion
+from ..photo.parser import parse
 from ..photo.person import person_mask
 from ..photo.sharpness import BLURRED, sharpness
 from .landmark_priors import FULL_FRAME
@@ -188,13 +189,15 @@ def track_photos(
         mask = masks[index] if masks is not None and index < len(masks) else None
         pictures.append(_working_picture(item.photo, fit.cameras[index], size, mask))
     _check_outlined(analysed, pictures, fit, given=masks is not None)
-    refined = refine(fit, pictures, rig, progress=lambda f: report(1.0 - _REFINE_SHARE * (1.0 - f)))
-    tracks = [
-        _track(item, face, points, refined, index, picture)
-        for index, (item, face, points, picture) in enumerate(zip(analysed, chosen, placed, pictures, strict=True))
-    ]
+
+    def tracks(fit: LandmarkFit) -> list[PhotoTrack]:
+        found = zip(analysed, chosen, placed, pictures, strict=True)
+        return [_track(item, face, points, fit, index, picture) for index, (item, face, points, picture) in enumerate(found)]
+
+    pictures = [replace(picture, others=_others(one, head)) for picture, one in zip(pictures, tracks(fit), strict=True)]
+    refined = tracks(refine(fit, pictures, rig, progress=lambda f: report(1.0 - _REFINE_SHARE * (1.0 - f))))
     report(1.0)
-    return tracks
+    return refined
 
 
 def _check_outlined(
@@ -264,6 +267,20 @@ def _working_picture(photo: Photo, camera: Camera, size: int, mask: np.ndarray |
     if photo.alpha is not None:
         outline = outline * plane(photo.alpha)
     return Appearance(image, np.clip(outline * valid, 0.0, 1.0), valid, left, top, size / side)
+
+
+def appearance_of(track: PhotoTrack, head: HeadModel) -> Appearance:
+    """The working picture of a track, for the terms of its outline."""
+    scale = track.camera.fx / track.photo_camera.fx
+    left, top = (getattr(track.photo_camera, axis) - getattr(track.camera, axis) / scale for axis in ("cx", "cy"))
+    return Appearance(track.image, track.mask, track.valid, left, top, scale, _others(track, head))
+
+
+def _others(track: PhotoTrack, head: HeadModel) -> np.ndarray:
+    """What a photo shows beside skin of face and ears, [H, W]."""
+    parts = parse(track, head)
+    beside = parts.hair + parts.beard + parts.neck + parts.clothes + parts.hat + parts.glasses + parts.other
+    return np.clip(beside, 0.0, 1.0)
 
 
 def _track(

@@ -68,17 +68,39 @@ def test_outline_finds_how_far_a_head_is_too_small(head, person):
     assert np.median(found.distance) == pytest.approx(expected, rel=0.6)
 
 
+def beside(head, vertices, camera, mask):
+    """Pixels over the left ear of the picture and beyond it, [H, W] bool."""
+    ears = projected(vertices[head.regions["ears"]], camera)
+    ear = int(ears[:, 0].min())
+    pixels = np.zeros_like(mask, bool)
+    pixels[int(ears[:, 1].min()) - 20 : int(ears[:, 1].max()) + 20, ear - 8 : ear + 12] = True
+    return pixels
+
+
 def test_hair_is_no_outline(head, person):
     _, camera, vertices = person
     image, mask = drawn(head, vertices, camera)
-    hair = np.zeros_like(mask, bool)
-    columns = np.nonzero(mask > 0.5)[1]
-    hair[:, columns.min() - 40 : columns.min() + 12] = True  # over one ear and beyond it
-    image[hair] = [0.07, 0.05, 0.04]
-    mask[hair] = 1.0
+    hair = beside(head, vertices, camera, mask)
+    image[hair], mask[hair] = [0.07, 0.05, 0.04], 1.0
     found = find_outline(head, vertices, camera, image, mask, np.ones_like(mask), unit=60.0)
-    assert (found.target[:, 0] > columns.min() + 8).all()
+    columns, rows = found.target.astype(int).T
+    inside = np.logical_and.reduce([np.roll(hair, step, axis) for step in (-3, 3) for axis in (0, 1)])
+    assert not inside[rows, columns].any()
     assert len(found.distance) > 10
+
+
+def test_hair_of_the_skins_color_is_no_outline_once_it_is_known(head, person):
+    _, camera, vertices = person
+    image, mask = drawn(head, vertices, camera)
+    hair = beside(head, vertices, camera, mask)
+    image[hair], mask[hair] = SKIN, 1.0
+    taken, told = (
+        find_outline(head, vertices, camera, image, mask, np.ones_like(mask), 60.0, others)
+        for others in (None, hair.astype(np.float32))
+    )
+    assert taken.distance.max() > 4.0  # by its color it is an ear that is too small
+    assert np.abs(told.distance).max() < 2.5
+    assert len(told.distance) > 10
 
 
 def test_nothing_is_matched_beyond_the_photo(head, person):

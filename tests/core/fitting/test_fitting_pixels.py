@@ -85,10 +85,10 @@ def misled(track, pixels):
     )
 
 
-def places(track, head):
-    """Where the face's vertices are in the picture, [V, 2]."""
+def places(track, head, which=None):
+    """Where the face's vertices, or others, are in the picture, [V, 2]."""
     vertices = head.vertices(track.shape, track.expression, head.pose_of(track.expression, track.pose))
-    return project(vertices[head.regions["face"]], track.camera)
+    return project(vertices[head.regions["face"] if which is None else which], track.camera)
 
 
 def off(track, truth, head):
@@ -107,6 +107,23 @@ def test_pixels_bring_the_head_to_where_the_picture_shows_it(person, truth):
     np.testing.assert_allclose(found.camera.fx / found.photo_camera.fx, start.camera.fx / start.photo_camera.fx, rtol=1e-6)
     assert told == sorted(told)
     assert 0.0 <= told[0] <= told[-1] <= 1.0
+
+
+def test_ears_are_brought_to_where_skin_ends(person, truth, monkeypatch):
+    """What pixels show inside a head says little of how wide it is."""
+    model, info = person
+    head, colors = model.head_model, model.decoders.appearance_mean
+    spots = colors[:, :3] - 0.5
+    monkeypatch.setattr(colors, "data", torch.cat([torch.tensor([0.8, 0.58, 0.47]) + 0.2 * spots, colors[:, 3:]], 1))
+    seen = drawn(model, truth.shape, truth.expression, truth.camera)
+    start, ears = misled(seen, 1.5), head.regions["ears"]
+    errors = []
+    for use in (True, False):
+        if not use:
+            monkeypatch.setattr(pixel_stage, "outline_terms", lambda *_: ())
+        (found,) = track_pixels([start], model, info)
+        errors.append(float(np.linalg.norm(places(found, head, ears) - places(seen, head, ears), axis=1).mean()))
+    assert errors[0] < 0.8 * errors[1]
 
 
 def test_pixels_that_contradict_the_landmarks_are_not_believed(person, truth, monkeypatch):

@@ -155,7 +155,7 @@ def pixels_per_metre(track: PhotoTrack, view: HairView) -> float:
 
 def _near(plane: np.ndarray, reach: float) -> np.ndarray:
     """A plane [H, W] widened by so many pixels, at least one."""
-    result: np.ndarray = widened(torch.from_numpy(np.float32(plane))[None], max(1, round(reach)))[0].numpy()
+    result: np.ndarray = widened(torch.from_numpy(np.array(plane, np.float32))[None], max(1, round(reach)))[0].numpy()
     return result
 
 

@@ -1,7 +1,7 @@
 """`python -m tools.film_picture -o FILE`: one photo and one voice become a film, through Blender, as a user would make it.
 
 The photo of the tests is fitted (preset *fast*); flite (Debian's package of that name) says the sentence. A fresh Blender with
-the built extension adds the avatar, imports the voice, lights the head by two area lamps and a world and renders frames with
+the built extension adds the avatar, imports the voice, lights the head by three area lamps and a world and renders frames with
 F12's operator. Drawn are the photo and these frames.
 """
 
@@ -30,10 +30,12 @@ from .people_pictures import sheet
 PHOTO = Path(__file__).resolve().parent.parent / "tests" / "data" / "photos" / "astronaut.jpg"
 SENTENCE = "I was made of one photograph, and of one recorded voice. Every hair can be combed."
 VOICE, SIZE, SHOWN, COLUMNS, QUALITY = "slt", 360, 7, 4, 88
-KEY = ((0.7, -0.9, 0.5), 22.0, 0.5, (1.0, 0.93, 0.85))  # metres from the head, watts, metres, color
-RIM = ((-0.8, 0.7, 0.5), 25.0, 0.4, (0.75, 0.85, 1.0))
-WORLD = (0.05, 0.065, 0.085)
-NEARER = 1.15  # than a portrait
+LAMPS = (  # metres from the head, watts, metres, color: key, rim, fill
+    ((0.6, -0.95, 0.45), 19.0, 0.8, (1.0, 0.9, 0.8)), ((-0.8, 0.6, 0.5), 22.0, 0.4, (0.8, 0.88, 1.0)),
+    ((-0.8, -0.8, 0.1), 3.5, 0.9, (0.9, 0.95, 1.0)),
+)  # fmt: skip
+WORLD = (0.035, 0.04, 0.05)
+NEARER = 1.25  # than a portrait
 FIRST = 12  # frame of the first picture: before it nothing is said
 
 
@@ -52,11 +54,11 @@ def film(avatar: Path, voice: Path, folder: Path) -> list[Path]:
     bpy.ops.grmm.import_voice(filepath=str(voice), set_range=True)
     bpy.ops.grmm.portrait_camera()
     scene.camera.data.lens *= NEARER
-    scene.render.engine = "GRMM"
+    scene.render.engine, scene.view_settings.view_transform = "GRMM", "Standard"  # as the extension sets up a new scene
     head = next(item for item in scene.objects if "jawOpen" in dict(item))
     head.grmm.lighting = "SCENE"
     place = head.matrix_world.translation
-    for where, watts, side, color in (KEY, RIM):
+    for where, watts, side, color in LAMPS:
         lamp = bpy.data.lights.new("Lamp", "AREA")
         lamp.energy, lamp.size, lamp.color = watts, side, color
         item = bpy.data.objects.new("Lamp", lamp)

@@ -4,8 +4,8 @@ A quick avatar of the photos (eq. 19 in few steps) is drawn as tracked. Where a 
 the photo, the difference over the picture's gradient is the shift that would mend it (Lucas and Kanade 1981): such shifts,
 along the gradient only, are further terms of the landmarks' least squares, as is where the skin ends (`outline`), which
 pixels inside it hardly tell. All unknowns are solved together, from coarse to fine. Both pictures are compared without what
-varies slowly, for light and skin tone are not known exactly. The result is kept only where it makes the pictures agree better
-and the landmarks do not contradict it.
+varies slowly, for light and skin tone are not known exactly. The round whose pictures agree best is kept, if they do so better
+than before, and the landmarks do not contradict it.
 
 Called by `api` and the evaluation. Imports torch.
 """
@@ -104,17 +104,21 @@ def _believed(moved: Sequence[PhotoTrack], tracks: Sequence[PhotoTrack]) -> bool
 
 
 def _rounds(tracks: list[PhotoTrack], appearance: _Appearance, rig: LandmarkRig, told: Share) -> list[PhotoTrack]:
-    """Tracks that agree better with pictures of the avatar, from coarse to fine; `tracks` where they do not."""
-    fit, now, differences = restarted(tracks, rig), tracks, []
+    """Tracks of the round that agrees best with pictures of the avatar, from coarse to fine; `tracks` where none does better."""
+    fit, now, best, differences = restarted(tracks, rig), tracks, tracks, []
     pictures = [appearance_of(track, rig.head) for track in tracks]
-    for number, blur in enumerate((*BLURS, BLURS[0])):
+    for number, blur in enumerate((*BLURS, BLURS[-1])):
         told(number / (len(BLURS) + 1))
-        compared = [appearance.compared(track, index, blur) for index, track in enumerate(now)]
-        if not all(len(found.target) for found in compared):
+        looks = [appearance.look(track, index) for index, track in enumerate(now)]
+        judged = [appearance.compared(look, BLURS[0]) for look in looks]  # all rounds by the same blur
+        if not all(len(found.target) for found in judged):
             return tracks
-        differences.append(sum(found.difference for found in compared) / len(compared))
+        difference = sum(found.difference for found in judged) / len(judged)
+        best = now if difference < min(differences, default=np.inf) else best
+        differences.append(difference)
         if number == len(BLURS):
             break
+        compared = judged if blur == BLURS[0] else [appearance.compared(look, blur) for look in looks]
         photos = tuple(
             replace(
                 photo, terms=(*photo.terms, found.term(rig.head, now[index]), *outline_terms(fit, index, pictures[index], rig))
@@ -126,7 +130,7 @@ def _rounds(tracks: list[PhotoTrack], appearance: _Appearance, rig: LandmarkRig,
         fit = finished(fit.problem, with_shape(problem, solution, ITERATIONS), fit.units, rig)
         now = [_moved(track, fit, index) for index, track in enumerate(tracks)]
     logger.debug("pixels: differences %s", differences)
-    return now if differences[-1] < differences[0] else tracks
+    return best
 
 
 @dataclass(frozen=True)
@@ -157,6 +161,28 @@ class Compared:
         scale = photo.fx / own.fx
         target = (self.target - [own.cx, own.cy]) * scale + [photo.cx, photo.cy]
         return Term(PointRig(head, self.triangles, self.barycentric), target, self.sigma * scale, self.normals)
+
+
+class _Look(NamedTuple):
+    """What is compared.
+
+    Attributes:
+        view: The photo.
+        index: Its number.
+        shown: The avatar over grey, [H, W, 3].
+        photo: The photo likewise.
+        bare: 1 at pixels of skin, [H, W].
+        pixels: Where the points are, [P, 2].
+        told: Points that are seen on bare skin, [N].
+    """
+
+    view: FitView
+    index: int
+    shown: np.ndarray
+    photo: np.ndarray
+    bare: np.ndarray
+    pixels: np.ndarray
+    told: np.ndarray
 
 
 class _Points(NamedTuple):
@@ -221,15 +247,19 @@ class _Appearance:
         picture = relit(draw(model, view.camera, vertices, colored), lit).over((_GREY,) * 3)
         return picture.image.cpu().numpy(), vertices.cpu().numpy().astype(np.float64)
 
-    def compared(self, track: PhotoTrack, index: int, blur: float) -> Compared:
-        """Compare a photo with the avatar drawn as it is tracked."""
+    def look(self, track: PhotoTrack, index: int) -> _Look:
+        """A photo, and the avatar drawn as it is tracked."""
         view = self.views([track], SIDE, index)[0]
         shown, vertices = self.drawn(view)
         cover = view.mask.cpu().numpy()[..., None]
         photo = view.image.cpu().numpy() * cover + _GREY * (1.0 - cover)
         bare = ((view.measured * view.clear).cpu().numpy() > 0.5).astype(np.float32)  # where light ends is no feature
         bare *= _hairless(track, view, self.model.head_model)
-        pixels, told = self._visible(view, vertices, bare)
+        return _Look(view, index, shown, photo, bare, *self._visible(view, vertices, bare))
+
+    def compared(self, look: _Look, blur: float) -> Compared:
+        """Compare a photo with the avatar, both smoothed by so many pixels."""
+        view, index, shown, photo, bare, pixels, told = look
         ours, theirs = _fast_part(shown, bare, blur), _fast_part(photo, bare, blur)
         points, targets, normals, sigmas, squares = [], [], [], [], []
         for channel, sigma in enumerate(COLOR_SIGMA):

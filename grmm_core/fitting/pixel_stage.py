@@ -104,7 +104,7 @@ def _believed(moved: Sequence[PhotoTrack], tracks: Sequence[PhotoTrack]) -> bool
 
 
 def _rounds(tracks: list[PhotoTrack], appearance: _Appearance, rig: LandmarkRig, told: Share) -> list[PhotoTrack]:
-    """Tracks of the round that agrees best with pictures of the avatar, from coarse to fine; `tracks` where none does better."""
+    """Tracks of the round that agrees best with pictures of the avatar; `tracks` where none does better."""
     fit, now, best, differences = restarted(tracks, rig), tracks, tracks, []
     pictures = [appearance_of(track, rig.head) for track in tracks]
     for number, blur in enumerate((*BLURS, BLURS[-1])):

@@ -99,7 +99,7 @@ def test_skin_is_a_surface_and_no_fog(avatar, session):
     assert spread < most * (1.0 + QUALITY_SHARE)
 
 
-# Gaussians that the rules blend at a pixel of the head, 512 pixels; weights of fog had 72 to 92.
+# Gaussians that the rules blend at a pixel of the head, 512 pixels; weights of fog had 72 to 81.
 BLENDED = {"default": 31.4, "afro": 32.4}
 
 

@@ -35,7 +35,7 @@ LAMPS = (  # metres from the head, watts, metres, color: key, rim, fill
     ((-0.8, -0.8, 0.1), 3.5, 0.9, (0.9, 0.95, 1.0)),
 )  # fmt: skip
 WORLD = (0.035, 0.04, 0.05)
-NEARER = 1.25  # than a portrait
+NEARER = 1.18  # than a portrait
 FIRST = 12  # frame of the first picture: before it nothing is said
 
 

@@ -141,12 +141,12 @@ def _color_features(image: np.ndarray) -> np.ndarray:
 def _mesh_outline(
     head: HeadModel, pixels: np.ndarray, depth: np.ndarray, unit: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Middles of the mesh edges on the outline of ears and face: triangle, barycentric, pixel, outward normal."""
+    """Middles of the mesh edges on the outline of ears, face and scalp: triangle, barycentric, pixel, outward normal."""
     faces = head.faces
     corners = pixels[faces]
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     front = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0] < 0.0  # y points down
-    allowed = head.marked(*REGIONS)
+    allowed = head.marked(*REGIONS, "scalp")  # of a bald head; hair is no outline, and a skull ends within it
     # edges as (low, high) of all triangles; partners lie next to each other after sorting
     pairs = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     owner = np.tile(np.arange(len(faces)), 3)

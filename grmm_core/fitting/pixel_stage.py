@@ -105,7 +105,8 @@ def _believed(moved: Sequence[PhotoTrack], tracks: Sequence[PhotoTrack]) -> bool
 
 def _rounds(tracks: list[PhotoTrack], appearance: _Appearance, rig: LandmarkRig, told: Share) -> list[PhotoTrack]:
     """Tracks of the round that agrees best with pictures of the avatar; `tracks` where none does better."""
-    fit, now, best, differences = restarted(tracks, rig), tracks, tracks, []
+    fit, now, best = restarted(tracks, rig), tracks, tracks
+    differences: list[float] = []
     pictures = [appearance_of(track, rig.head) for track in tracks]
     for number, blur in enumerate((*BLURS, BLURS[-1])):
         told(number / (len(BLURS) + 1))
@@ -168,7 +169,7 @@ class _Look(NamedTuple):
 
     Attributes:
         view: The photo.
-        index: Its number.
+        number: The photo's.
         shown: The avatar over grey, [H, W, 3].
         photo: The photo likewise.
         bare: 1 at pixels of skin, [H, W].
@@ -177,7 +178,7 @@ class _Look(NamedTuple):
     """
 
     view: FitView
-    index: int
+    number: int
     shown: np.ndarray
     photo: np.ndarray
     bare: np.ndarray
@@ -259,7 +260,7 @@ class _Appearance:
 
     def compared(self, look: _Look, blur: float) -> Compared:
         """Compare a photo with the avatar, both smoothed by so many pixels."""
-        view, index, shown, photo, bare, pixels, told = look
+        view, number, shown, photo, bare, pixels, told = look
         ours, theirs = _fast_part(shown, bare, blur), _fast_part(photo, bare, blur)
         points, targets, normals, sigmas, squares = [], [], [], [], []
         for channel, sigma in enumerate(COLOR_SIGMA):
@@ -279,7 +280,7 @@ class _Appearance:
         difference = float(np.sqrt(np.mean(np.concatenate(squares)))) if len(every) else 0.0
         return Compared(
             self._points.triangles[every], self._points.barycentric[every], np.concatenate(targets), np.concatenate(normals),
-            np.concatenate(sigmas) * max(1.0, NOISE * difference) / float(self.light.trust[index].sqrt()), difference, view,
+            np.concatenate(sigmas) * max(1.0, NOISE * difference) / float(self.light.trust[number].sqrt()), difference, view,
         )  # fmt: skip
 
     def _visible(self, view: FitView, vertices: np.ndarray, bare: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

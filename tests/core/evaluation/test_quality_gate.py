@@ -45,7 +45,7 @@ PSNR = {
 # Median opacity of the face's Gaussians; median depth spread of what is blended at a pixel of the face, millimetres.
 FOG = {"default": (0.907, 1.11), "long": (0.906, 1.03), "beard": (0.906, 1.27), "afro": (0.905, 1.05)}
 # Of values 0..1 in the photo's own view and light, preset fast, bare skin. It was 0.0392 while hair was painted into the
-# Gaussians, 0.0521 before light was taken out of colors, and 0.0333 before what no lamp explains was told from color.
+# Gaussians, 0.0521 before light was taken out of colors, and 0.0333 by an earlier program.
 PHOTO_RMSE = 0.0180
 
 

@@ -1,4 +1,4 @@
-"""Where the head's outline should be in a photo: ears and cheeks against background, hair or clothes.
+"""Where the head's outline should be in a photo: ears, cheeks and bald scalps against background, hair or clothes.
 
 The person's mask alone does not show the head's outline, for it has hair in it. What is looked for is the end of the *skin*:
 from every point of the mesh's outline outward to where person and skin color end, or inward to where the person begins. What
@@ -19,6 +19,7 @@ from ..head.head_model import HeadModel
 from ..pictures.sampling import bilinear
 
 REGIONS = ("face", "ears")
+OUTLINED = (*REGIONS, "scalp")  # a bald head's; hair is no outline, and a skull ends within it
 REACH_OUT, REACH_IN = 0.30, 0.15  # eye distances from the mesh's outline that are searched
 FACE_REACH_OUT = 0.12  # likewise beside the cheek, where a neck wider than the mesh's goes on as skin
 _CLEAR = (0.03, 0.08)  # eye distances outward that must be free of the mesh: inner contours (chin over neck) do not count
@@ -146,7 +147,7 @@ def _mesh_outline(
     corners = pixels[faces]
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     front = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0] < 0.0  # y points down
-    allowed = head.marked(*REGIONS, "scalp")  # of a bald head; hair is no outline, and a skull ends within it
+    allowed = head.marked(*OUTLINED)
     # edges as (low, high) of all triangles; partners lie next to each other after sorting
     pairs = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     owner = np.tile(np.arange(len(faces)), 3)

@@ -108,7 +108,7 @@ def _rounds(tracks: list[PhotoTrack], appearance: _Appearance, rig: LandmarkRig,
     fit, now, best = restarted(tracks, rig), tracks, tracks
     differences: list[float] = []
     pictures = [appearance_of(track, rig.head) for track in tracks]
-    for number, blur in enumerate((*BLURS, BLURS[-1])):
+    for number, blur in enumerate((*BLURS, None)):
         told(number / (len(BLURS) + 1))
         looks = [appearance.look(track, index) for index, track in enumerate(now)]
         judged = [appearance.compared(look, BLURS[0]) for look in looks]  # all rounds by the same blur
@@ -117,7 +117,7 @@ def _rounds(tracks: list[PhotoTrack], appearance: _Appearance, rig: LandmarkRig,
         difference = sum(found.difference for found in judged) / len(judged)
         best = now if difference < min(differences, default=np.inf) else best
         differences.append(difference)
-        if number == len(BLURS):
+        if blur is None:  # the last round is judged only
             break
         compared = judged if blur == BLURS[0] else [appearance.compared(look, blur) for look in looks]
         photos = tuple(

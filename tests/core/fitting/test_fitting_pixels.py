@@ -126,6 +126,23 @@ def test_ears_are_brought_to_where_skin_ends(person, truth, monkeypatch):
     assert errors[0] < 0.8 * errors[1]
 
 
+def test_the_best_round_is_kept_where_the_last_is_worse(person, truth, monkeypatch):
+    model, info = person
+    start, solved, solve = misled(truth, 1.5), [], pixel_stage.solve
+
+    def spoiled(*arguments):
+        solved.append(solve(*arguments))
+        if len(solved) < len(pixel_stage.BLURS):
+            return solved[-1]
+        return dataclasses.replace(solved[-1], shape=solved[-1].shape + np.where(np.arange(len(start.shape)) < 20, 2.0, 0.0))
+
+    monkeypatch.setattr(pixel_stage, "solve", spoiled)
+    monkeypatch.setattr(pixel_stage, "with_shape", lambda problem, solution, limit: solution)
+    (found,) = track_pixels([start], model, info)
+    assert len(solved) == len(pixel_stage.BLURS)
+    np.testing.assert_allclose(found.shape, solved[-2].shape, atol=1e-5)
+
+
 def test_pixels_that_contradict_the_landmarks_are_not_believed(person, truth, monkeypatch):
     model, info = person
     start = misled(truth, 1.5)

@@ -2,7 +2,6 @@
 
 ``evaluate_photo``    a photo, fitted as users do: errors in its view, a sheet
 ``compare_stages``    stage 2 off, on, and on without locality: the input view against other views and other expressions
-``compare_counts``    one, two and four photos: new views
 
 Called by the command line (`grmm evaluate --protocol monocular` on a folder of photos) and by whoever measures. Imports torch.
 """
@@ -57,7 +56,6 @@ STAGES: dict[str, dict[str, Any]] = {
     "stage 2": {},
     "stage 2 without locality": {"locality": 0.0},
 }
-COUNTS = (1, 2, 4)
 SHEET_PIXELS = 320
 MEASURED_PIXELS = 512
 _GREY = 0.5
@@ -290,21 +288,6 @@ def compare_stages(
 
 def _over_grey(image: np.ndarray, alpha: np.ndarray) -> np.ndarray:
     return np.clip(image + (1.0 - alpha[..., None]) * _GREY, 0.0, 1.0)
-
-
-def compare_counts(
-    scene: Scene, sources: Sequence[Sample], held_out: Sequence[Sample], preset: str | Preset = "standard", size: int = 384,
-    counts: Sequence[int] = COUNTS,
-) -> dict[int, float]:  # fmt: skip
-    """PSNR inside the mask in unseen views by the number of photos, exact tracking. Arguments as `compare_stages`."""
-    results = {}
-    for count in counts:
-        chosen = sources[:count]
-        shape = chosen[0].dataset.shape(chosen[0].shot.subject)
-        tracks = [exact_track(scene.head, sample, load(sample, size), shape) for sample in chosen]
-        person = scene.from_avatar(invert(tracks, scene.model, scene.head, preset, info=scene.info))
-        results[count] = psnr_of_views(scene, person, held_out, size)
-    return results
 
 
 def psnr_of_views(scene: Scene, person: DrawnPerson, samples: Sequence[Sample], size: int) -> float:

@@ -14,6 +14,7 @@ import numpy as np
 from ..errors import ShapeError
 from ..geometry.camera import Camera
 from ..head.head_model import JOINT_COUNT
+from ..head.resting_mouth import usual_shape
 from ..photo.landmarks import EYE_CORNERS, HeadLandmarks
 from .landmark_priors import PLACED_SHARE, VIEW_NOISE, View, landmark_modes, landmark_sigmas, make_priors, shape_priors
 from .point_rig import LandmarkRig
@@ -133,10 +134,15 @@ def restarted(tracks: Sequence[PhotoTrack], rig: LandmarkRig) -> LandmarkFit:
         term = Term(rig, track.landmarks / scale + origin, np.ones(LANDMARK_COUNT))
         shape_prior = shape_priors(rig.head, prior, track.arkit)
         photos.append(PhotoProblem(camera.width, camera.height, shape_prior, (term,), term, prior))
-    problem = Problem(tuple(photos), center, rig.shape_count, rig.expression_count, len(views[0].noise))
+    problem = _problem(photos, center, rig, views)
     solution = Solution(tracks[0].shape.astype(np.float64), tuple(views))
     placed = [track.placed_in_photo for track in tracks]
     return finished(_weighed(problem, solution, tuple(units), rig, placed), solution, tuple(units), rig)
+
+
+def _problem(photos: list[PhotoProblem], center: np.ndarray, rig: LandmarkRig, views: list[View]) -> Problem:
+    counts = (rig.shape_count, rig.expression_count, len(views[0].noise))
+    return Problem(tuple(photos), center, *counts, shape_mean=usual_shape(rig.head))
 
 
 def _weighed(
@@ -216,7 +222,7 @@ def _start(observations: Sequence[Observation], rig: LandmarkRig) -> tuple[Probl
         term = Term(rig, item.landmarks[:, :2].astype(np.float64), landmark_sigmas(rig, rotation) * units[-1])
         shape_prior = shape_priors(rig.head, prior, item.arkit)
         photos.append(PhotoProblem(item.width, item.height, shape_prior, (term,), term, prior))
-    problem = Problem(tuple(photos), center, rig.shape_count, rig.expression_count, len(views[0].noise))
+    problem = _problem(photos, center, rig, views)
     return problem, Solution(shape, tuple(views)), tuple(units)
 
 

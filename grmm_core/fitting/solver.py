@@ -7,11 +7,11 @@ expression. The photos share the shape; camera, expression, jaw and eyes are eac
 
 The objective, with points l of the terms of photo n, projection pi, targets q and expected errors sigma in pixels:
 
-    w |shape|^2 + sum_n [ sum_l rho(|pi_n(P_l(shape, e_n, pose_n)) + M_nl b_n - q_nl| / sigma_nl) + |b_n|^2
+    w |shape - m|^2 + sum_n [ sum_l rho(|pi_n(P_l(shape, e_n, pose_n)) + M_nl b_n - q_nl| / sigma_nl) + |b_n|^2
                         + priors of e_n, pose_n, focal length, distance ]
 
-where w is 1 for photos that err independently, and b are the strengths of the error modes M of the landmark network: what it
-gets wrong, it gets wrong for many landmarks at once, and without them it would be taken for shape.
+where w is 1 for photos that err independently, m is people's mean, and b are the strengths of the error modes M of the landmark
+network: what it gets wrong, it gets wrong for many landmarks at once, and without them it would be taken for shape.
 """
 
 from __future__ import annotations
@@ -83,6 +83,7 @@ class Problem:
         center: The point of head space that `View.offset` projects, metres, [3].
         shape_count, expression_count, noise_count: S, E and K.
         shape_weight: Of the shape's prior, w of the module: photos that err alike count as fewer than they are.
+        shape_mean: People's mean, m of the module, [S], or 0.
     """
 
     photos: tuple[PhotoProblem, ...]
@@ -91,6 +92,7 @@ class Problem:
     expression_count: int
     noise_count: int
     shape_weight: float = 1.0
+    shape_mean: np.ndarray | float = 0.0
 
 
 @dataclass(frozen=True)
@@ -164,7 +166,7 @@ def solve(
 
 def evaluate(problem: Problem, shape: np.ndarray, views: tuple[View, ...]) -> float:
     """The objective; twice the gradient of `_normal_equations` is its gradient."""
-    total = problem.shape_weight * float((shape**2).sum())
+    total = problem.shape_weight * float(((shape - problem.shape_mean) ** 2).sum())
     for photo, view in zip(problem.photos, views, strict=True):
         total += photo.priors.value(view) + float((view.noise**2).sum())
         for term in photo.terms:
@@ -216,7 +218,8 @@ def _normal_equations(
     matrix = np.zeros((shared + size * len(views), shared + size * len(views)))
     gradient = np.zeros(len(matrix))
     matrix[np.arange(shared), np.arange(shared)] = problem.shape_weight
-    gradient[:shared] = problem.shape_weight * shape[:shared]
+    if shared:
+        gradient[:shared] = problem.shape_weight * (shape - problem.shape_mean)
     for index, (photo, view) in enumerate(zip(problem.photos, views, strict=True)):
         own = slice(shared + index * size, shared + (index + 1) * size)
         for term in photo.terms:

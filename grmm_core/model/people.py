@@ -29,7 +29,7 @@ def default_avatar(weights: WeightsInfo, z_exp_size: int) -> Avatar:
     return made_avatar(f"{weights.name.capitalize()} head", weights, z_exp_size, weights.default_z_id, weights.default_shape)
 
 
-def sampled_avatar(weights: WeightsInfo, z_exp_size: int, seed: int) -> Avatar:
+def sampled_avatar(weights: WeightsInfo, z_exp_size: int, seed: int, usual: np.ndarray | float = 0.0) -> Avatar:
     """Draw a new person near one of the training people.
 
     Hair styles and beards lie apart in the space of codes: a Gaussian over all people would draw what is between them, ghosts
@@ -41,6 +41,7 @@ def sampled_avatar(weights: WeightsInfo, z_exp_size: int, seed: int) -> Avatar:
         weights: What the weights file says.
         z_exp_size: Length of the model's residual expression code.
         seed: Equal seeds give equal people.
+        usual: What people's mean has that the training people's lacks (`head.resting_mouth.usual_shape`), [S].
 
     Raises:
         ConfigError: The weights know fewer than two people.
@@ -60,7 +61,7 @@ def sampled_avatar(weights: WeightsInfo, z_exp_size: int, seed: int) -> Avatar:
         mix @ table + share * rest * (normal @ (table - table.mean(0)))
         for table, share in ((weights.z_id, CODE_VARIATION), (weights.shapes, 1.0))
     )
-    return made_avatar(f"Sample {seed}", weights, z_exp_size, z_id, shape)
+    return made_avatar(f"Sample {seed}", weights, z_exp_size, z_id, shape + usual)
 
 
 def made_avatar(name: str, weights: WeightsInfo, z_exp_size: int, z_id: np.ndarray, shape: np.ndarray) -> Avatar:

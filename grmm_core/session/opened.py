@@ -17,6 +17,7 @@ from ..controls.frame import Controls
 from ..errors import SessionError
 from ..geometry.libraries import to_numpy
 from ..hair.packaged import HEAD
+from ..head.resting_mouth import usual_shape
 from ..model.people import default_avatar, sampled_avatar
 from .carrying import can_carry, in_its_colors, without_changes
 from .engines import Engine
@@ -101,7 +102,10 @@ class OpenAvatars:
             return OpenAvatar(number, avatar, self._engine.store.for_avatar(avatar, path), key)
         loaded = self._engine.store.default()
         size = loaded.model.z_exp_size
-        made = sampled_avatar(loaded.info, size, int(key.name)) if key.kind == "sample" else default_avatar(loaded.info, size)
+        if key.kind == "sample":
+            made = sampled_avatar(loaded.info, size, int(key.name), usual_shape(loaded.model.head_model))
+        else:
+            made = default_avatar(loaded.info, size)
         if key.kind == "sample" and loaded.model.config.hairless and loaded.info.head_name == HEAD:
             bare = OpenAvatar(number, made, loaded, key)
             colors, _ = self._evaluator.appearance(bare, bare.still, FRONT)

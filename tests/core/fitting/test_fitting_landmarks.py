@@ -14,6 +14,7 @@ from grmm_core.fitting import landmark_priors, landmark_stage
 from grmm_core.fitting.landmark_priors import FACE_OVAL, landmark_modes
 from grmm_core.fitting.landmark_stage import Observation, fit_landmarks
 from grmm_core.geometry.camera import Camera
+from grmm_core.head.resting_mouth import usual_shape
 from grmm_core.photo.landmarks import HeadLandmarks
 
 SIZE = 512
@@ -171,14 +172,32 @@ def test_a_mouth_is_as_wide_as_it_looks_where_the_network_reports_no_expression(
         left, right = rig.positions(shape, np.zeros(100), np.zeros((5, 3)))[[61, 291]]
         return np.linalg.norm(left - right)
 
-    mean, steps = width(np.zeros(300)), np.eye(300) * 0.1
-    wider = np.array([width(step) for step in steps]) - mean
-    shape = 2.0 * wider / np.linalg.norm(wider)
+    usual = usual_shape(rig.head)
+    mean = width(usual)
+    wider = np.array([width(usual + step) for step in np.eye(300) * 0.1]) - mean
+    shape = usual + 2.0 * wider / np.linalg.norm(wider)
     seen, found = observe(rig, shape, np.zeros(100), Camera.orbit(SIZE, SIZE, yaw=6.0, distance=1.2)), []
     for sigma in (landmark_priors._SHAPE_SIGMA, 1.0):
         monkeypatch.setattr(landmark_priors, "_SHAPE_SIGMA", sigma)
         found.append((width(fit_landmarks([seen], rig).shape) - mean) / (width(shape) - mean))
     assert found[0] > 1.1 * found[1]
+
+
+def test_a_mouth_that_is_seen_smiling_rests_as_peoples_do(rig, monkeypatch):
+    """How it rests no photo of a smile shows: people's mean tells, whose corners are higher than those of the model's people."""
+
+    def droop(shape):
+        points = rig.positions(shape, np.zeros(100), np.zeros((5, 3)))
+        return (points[[13, 14], 1].mean() - points[[61, 291], 1].mean()) * 1e3
+
+    shape = usual_shape(rig.head)
+    smile = expression(mouthSmileLeft=0.7, mouthSmileRight=0.7, mouthUpperUpLeft=0.3, mouthUpperUpRight=0.3)
+    seen = observe(rig, shape, smile, Camera.orbit(SIZE, SIZE, yaw=6.0, distance=1.2))
+    smiling = droop(fit_landmarks([seen], rig).shape)
+    monkeypatch.setattr(landmark_stage, "usual_shape", lambda head: np.zeros(head.shape_count))
+    sullen = droop(fit_landmarks([seen], rig).shape)
+    assert abs(smiling - droop(shape)) < 0.3
+    assert sullen - droop(shape) > 0.6
 
 
 def test_wrong_landmarks_do_little_harm(head, rig):

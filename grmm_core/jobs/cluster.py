@@ -81,7 +81,7 @@ def open_cluster(text: str | None) -> Iterator[Cluster | None]:
     if local is None and (text.startswith("local") or not re.fullmatch(r"(\w+://)?[^\s/:]+:\d+", text)):
         raise ConfigError(f"--cluster {text} is not possible; {FORMS}.")
     if importlib.util.find_spec("distributed") is None:
-        raise RuntimeMissingError('A cluster needs Dask; install it with pip install "grmm-core[cluster]".')
+        raise RuntimeMissingError('A cluster needs Dask; run pip install ".[cluster]" in the checkout.')
     import dask
     from distributed import Client, LocalCluster
 

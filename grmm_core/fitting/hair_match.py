@@ -54,6 +54,7 @@ LONG_UNDER_HATS = ("bob", "chest_length", "chest_waves", "layered", "long", "rin
 LONG = 0.25  # of the head's pixels: if more are hair below a hat, that is long
 OPACITY = 0.9  # of a strand
 ORIENTATION = 0.35  # weight of the agreement of directions beside that of cover
+TRIMMED = 0.1  # weight of cover beside a photo's hair once strands are bent: what hangs there is cut (`hair_trim`)
 # of the score that strands lose which are e times as wavy as in the photos, or as little, and up to how often e: straight ones
 # can be curled; radians of straight ones, those that noise makes in photos, and how many times more strands turn than is seen
 WAVY, MOST_WAVY, LEAST_WAVES, NOISE, SEEN = 0.06, 0.7, 0.6, 0.14, 3.6
@@ -125,7 +126,7 @@ def finished(match: Match, stages: Sequence[Stage], head: HeadModel) -> tuple[Gr
     groom = bent(groom, 1.0, field_to(Strands(groom, head, FINE_STRANDS).course(stages, 1.0), stages, FINE), head)
     groom = without_strays(as_flat(groom, before, match.length, stages, head), before, head)
     thin = Strands(groom, head, FINE_STRANDS)
-    score = match.score - match.agreement + _agreement(stages, thin.course(stages, 1.0))
+    score = match.score - match.agreement + _agreement(stages, thin.course(stages, 1.0), beyond=TRIMMED)
     return groom, 1.0, score + _waves_apart(match.waves, stages) - _waves_apart(waves(_even(few(groom))), stages)
 
 
@@ -297,14 +298,14 @@ def wanted_waves(stages: Sequence[Stage]) -> float | None:
     return max(SEEN * (float(np.mean(seen)) - NOISE), LEAST_WAVES) if seen else None
 
 
-def _agreement(stages: Sequence[Stage], course: Course, field: torch.Tensor | None = None) -> float:
-    """How far strands cover what the photos show as hair, and lie along its strands, at most 1."""
+def _agreement(stages: Sequence[Stage], course: Course, field: torch.Tensor | None = None, beyond: float = 1.0) -> float:
+    """How far strands cover what the photos show as hair, and lie along its strands, at most 1; `beyond` weighs other cover."""
     scores = []
     for stage, posed, turn in zip(stages, course.posed, course.turns, strict=True):
         points = posed if field is None else posed + np.matmul(offsets(field, course.rest), turn).astype(np.float32)
         cover, way = stage.drawn(points, course.radii)
         both = np.minimum(cover, stage.hair) * stage.weights
-        either = np.maximum(cover, stage.hair) * stage.weights
+        either = (stage.hair + beyond * np.maximum(cover - stage.hair, 0.0)) * stage.weights
         overlap = float(both.sum() / max(either.sum(), 1e-6))
         clear = np.hypot(*stage.seen) * np.hypot(*way) * stage.counts
         agree = (stage.seen.cosine * way.cosine + stage.seen.sine * way.sine) * stage.counts

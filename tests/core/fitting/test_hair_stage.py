@@ -81,6 +81,20 @@ def test_hair_that_is_seen_to_hang_low_on_one_side_is_not_short_behind(monkeypat
     assert hair_match._lowest(shown.camera, shown.hair) == pytest.approx(-0.147, abs=0.01), "metres below the head's middle"
 
 
+def test_of_bent_hair_what_is_too_long_costs_less_than_what_is_missing():
+    """What hangs beside a photo's hair is cut afterwards; what is missing stays so."""
+    head = load_open_head()
+    stages = [hair_match.Stage(photo(library_groom("bob"), HairSettings(), 10.0), head)]
+    short, right, long = (hair_match.Candidate.of("bob", False, head).course(stages, length) for length in (0.8, 1.0, 1.5))
+    found, cut = (
+        [hair_match._agreement(stages, course, beyond=beyond) for course in (short, right, long)]
+        for beyond in (1.0, hair_match.TRIMMED)
+    )
+    assert found[1] > found[0] > found[2] + 0.05
+    assert cut[2] > cut[0] + 0.05
+    assert cut[1] > cut[0]
+
+
 def test_long_hair_below_a_hat_is_long(monkeypatch):
     head, shown = load_open_head(), photo(library_groom("long"), HairSettings(melanin=0.6), 10.0)
     monkeypatch.setattr(hair_match, "LONG_UNDER_HATS", ("bob", "long"))

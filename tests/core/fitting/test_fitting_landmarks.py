@@ -184,7 +184,7 @@ def test_a_mouth_is_as_wide_as_it_looks_where_the_network_reports_no_expression(
 
 
 def test_a_mouth_that_is_seen_smiling_rests_as_peoples_do(rig, monkeypatch):
-    """No photo of a smile shows how it rests; people's mean tells, whose corners are higher than the model's people have them."""
+    """No photo of a smile shows how it rests: people's mean tells, whose corners are higher than those of the open head."""
 
     def droop(shape):
         points = rig.positions(shape, np.zeros(100), np.zeros((5, 3)))

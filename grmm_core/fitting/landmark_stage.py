@@ -142,7 +142,8 @@ def restarted(tracks: Sequence[PhotoTrack], rig: LandmarkRig) -> LandmarkFit:
 
 def _problem(photos: list[PhotoProblem], center: np.ndarray, rig: LandmarkRig, views: list[View]) -> Problem:
     counts = (rig.shape_count, rig.expression_count, len(views[0].noise))
-    return Problem(tuple(photos), center, *counts, shape_mean=usual_shape(rig.head))
+    usual = usual_shape(rig.head)[: rig.shape_count]  # a rig of one person has no shape to look for
+    return Problem(tuple(photos), center, *counts, shape_mean=usual)
 
 
 def _weighed(

@@ -94,7 +94,7 @@ def test_what_is_missing_is_said(monkeypatch):
         with pytest.raises(SessionError, match=f"No Dask scheduler answers at {address}"), open_cluster(address):
             pass
     monkeypatch.setattr(clusters.importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(RuntimeMissingError, match=r'pip install "grmm-core\[cluster\]"'), open_cluster("local:2"):
+    with pytest.raises(RuntimeMissingError, match=r'pip install "\.\[cluster\]" in the checkout'), open_cluster("local:2"):
         pass
     with open_cluster(None) as nothing:
         assert nothing is None

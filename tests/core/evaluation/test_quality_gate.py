@@ -7,8 +7,6 @@ the model cards' tables, but the same views say at once whether something was lo
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 import torch
@@ -16,9 +14,9 @@ from tolerances import QUALITY_DECIBELS, QUALITY_SHARE
 
 from grmm_core.avatar import load_avatar
 from grmm_core.avatar.library import library_file
-from grmm_core.cli import main
 from grmm_core.controls.frame import Controls
 from grmm_core.data.dataset import CaptureDataset
+from grmm_core.evaluation.photo_fits import evaluate_photo
 from grmm_core.evaluation.protocols import EXPRESSION, Evaluation, Settings
 from grmm_core.evaluation.regions import REGIONS, region_pixels, triangle_groups
 from grmm_core.evaluation.scene import Scene
@@ -44,9 +42,11 @@ PSNR = {
 }
 # Median opacity of the face's Gaussians; median depth spread of what is blended at a pixel of the face, millimetres.
 FOG = {"default": (0.907, 1.11), "long": (0.906, 1.03), "beard": (0.906, 1.27), "afro": (0.905, 1.05)}
-# Of values 0..1 in the photo's own view and light, preset fast, bare skin. It was 0.0392 while hair was painted into the
-# Gaussians, 0.0521 before light was taken out of colors, and 0.0333 by an earlier program.
-PHOTO_RMSE = 0.0180
+# Of values 0..1 in the photo's own view and light, preset fast, skin alone, drawn with the strands: the shade of a fringe is not
+# on a bare head, by which `grmm fit` reckons. By that it was 0.0392 while hair was painted into the Gaussians, 0.0521 before light
+# was taken out of colors, 0.0333 by an earlier program, and is 0.018 to 0.020, by how the fringe shades the forehead.
+PHOTO_RMSE = 0.0157
+PHOTO_HAIR = 0.916  # overlap of its hair with the photo's; by another groom 0.84
 
 
 @pytest.mark.parametrize("avatar", PSNR)
@@ -115,10 +115,8 @@ def test_few_gaussians_are_blended_at_a_pixel(avatar, session):
 
 
 @pytest.mark.slow
-def test_a_photo_is_fitted_as_closely_as_ever(photo_file, tmp_path, capsys):
-    code = main(["fit", str(photo_file("astronaut")), "-o", str(tmp_path / "a.grmm"), "--preset", "fast", "--json"])
-    printed = capsys.readouterr().out
-    assert code == 0
-    (rmse,) = json.loads(printed)["rmse"]
-    print(f"\nphoto: RMSE {rmse:.4f}")
-    assert rmse < PHOTO_RMSE * (1.0 + QUALITY_SHARE)
+def test_a_photo_is_fitted_as_closely_as_ever(photo_file, tmp_path):
+    found = evaluate_photo(photo_file("astronaut"), Scene(WEIGHTS), None, tmp_path, "fast")
+    print(f"\nphoto: RMSE {found['rmse']:.4f}, hair's overlap {found['hair_overlap']:.3f}")
+    assert found["rmse"] < PHOTO_RMSE * (1.0 + QUALITY_SHARE)
+    assert found["hair_overlap"] > PHOTO_HAIR * (1.0 - QUALITY_SHARE)

@@ -42,9 +42,9 @@ PSNR = {
 }
 # Median opacity of the face's Gaussians; median depth spread of what is blended at a pixel of the face, millimetres.
 FOG = {"default": (0.907, 1.11), "long": (0.906, 1.03), "beard": (0.906, 1.27), "afro": (0.905, 1.05)}
-# Of values 0..1 in the photo's own view and light, preset fast, skin alone, drawn with the strands: the shade of a fringe is not
-# on a bare head, by which `grmm fit` reckons. By that it was 0.0392 while hair was painted into the Gaussians, 0.0521 before light
-# was taken out of colors, 0.0333 by an earlier program, and is 0.018 to 0.020, by how the fringe shades the forehead.
+# Of values 0..1 in the photo's own view and light, preset fast, skin alone, drawn with the strands: the shade of a fringe is
+# not on a bare head, by which `grmm fit` reckons. By that it was 0.0392 while hair was painted into the Gaussians, 0.0521
+# before light was taken out of colors, 0.0333 by an earlier program, and is 0.018 to 0.020, as the fringe shades the forehead.
 PHOTO_RMSE = 0.0157
 PHOTO_HAIR = 0.916  # overlap of its hair with the photo's; by another groom 0.84
 

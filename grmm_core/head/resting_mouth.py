@@ -8,6 +8,8 @@ Used by people who are drawn at random and by fits. Needs numpy only.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from .head_model import HeadModel
@@ -17,14 +19,21 @@ RESTING = 0.15  # of a full smile, by which corners of mouths are higher in peop
 _RIDGE = 1e-5  # square metres of all vertices for the square of a coefficient
 
 
+@lru_cache(maxsize=4)
 def usual_shape(head: HeadModel) -> np.ndarray:
-    """Shape coefficients that people's mean has, [S]: corners of the mouth higher than in the model's mean.
+    """Shape coefficients that people's mean has, [S], read only: corners of the mouth higher than in the model's mean.
 
     The shape directions hold a third of the movement of a smile: the corners, as far above the middle of the lips as the smile
     has them. Zero for heads without a smile of that name, such as FLAME, whose mean is that of people.
     """
-    if not set(SMILES) <= set(head.expression_names):
-        return np.zeros(head.shape_count)
+    usual = np.zeros(head.shape_count)
+    if set(SMILES) <= set(head.expression_names):
+        usual = _lifted(head)
+    usual.flags.writeable = False
+    return usual
+
+
+def _lifted(head: HeadModel) -> np.ndarray:
     smile = head.expression_dirs[..., [head.expression_index(name) for name in SMILES]].astype(np.float64).sum(-1)  # [V, 3]
     shapes = head.shape_dirs.astype(np.float64).reshape(-1, head.shape_count)
     return np.linalg.solve(shapes.T @ shapes + _RIDGE * np.eye(head.shape_count), shapes.T @ (RESTING * smile.reshape(-1)))

@@ -29,7 +29,7 @@ def default_avatar(weights: WeightsInfo, z_exp_size: int) -> Avatar:
     return made_avatar(f"{weights.name.capitalize()} head", weights, z_exp_size, weights.default_z_id, weights.default_shape)
 
 
-def sampled_avatar(weights: WeightsInfo, z_exp_size: int, seed: int, usual: np.ndarray | float = 0.0) -> Avatar:
+def sampled_avatar(weights: WeightsInfo, z_exp_size: int, seed: int, usual: np.ndarray | float) -> Avatar:
     """Draw a new person near one of the training people.
 
     Hair styles and beards lie apart in the space of codes: a Gaussian over all people would draw what is between them, ghosts

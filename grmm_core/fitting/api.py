@@ -55,7 +55,7 @@ class FitResult:
         path: The avatar's file.
         avatar: What is in it.
         seconds: Time taken, without what an earlier, interrupted run did.
-        rmse: Root mean square color error in each photo's view, inside the mask.
+        rmse: Root mean square color error in each photo's view and light, strands and all, inside the mask.
         landmark_error: Mean landmark distance of each photo relative to the eye distance.
         tracks: What tracking found in the photos.
         warnings: Sentences about what of the photos is not painted on the person.
@@ -134,10 +134,10 @@ def _make(
     from .hair_stage import person_hair
     from .hair_texture import textured
     from .hair_trim import trimmed
-    from .invert import invert, photo_errors, photo_pictures, photo_views
+    from .invert import invert, photo_pictures, photo_views
     from .photo_targets import left_out
     from .root_shade import shaded_scalp
-    from .settling import locally_lit, settled
+    from .settling import locally_lit, settled, worn_errors
     from .tilt import hung_free, upright
 
     if request.threads:
@@ -190,8 +190,7 @@ def _make(
     person = with_deltas(loaded.model, avatar.deltas, folder)
     finish(0.75)
     avatar = locally_lit(session, person, avatar, tracks)
-    pictures = photo_pictures(person, avatar, tracks)
-    figures = {"rmse": photo_errors(pictures), "landmark_error": [track.landmark_error for track in tracks]}
+    figures = {"rmse": worn_errors(session, person, avatar, tracks), "landmark_error": [track.landmark_error for track in tracks]}
     today = datetime.datetime.now(datetime.UTC).date().isoformat()
     avatar = dataclasses.replace(
         avatar,

@@ -367,14 +367,11 @@ def photo_pictures(
     return pictures
 
 
-def photo_errors(pictures: Sequence[tuple[FitView, Picture]]) -> list[float]:
-    """RMSE of each of `photo_pictures`, on head and bare neck (`FitView.measured`)."""
-    errors = []
-    for view, drawn in pictures:
-        grey = torch.full((3,), _GREY).to(drawn.image)
-        error = (drawn.over(grey).image.clamp(0, 1) - view.target(grey)).square().mean(-1) * view.measured
-        errors.append(float((error.sum() / view.measured.sum().clamp(min=1.0)).sqrt()))
-    return errors
+def photo_error(view: FitView, drawn: Picture) -> float:
+    """RMSE of a person drawn in a photo's view, on head and bare neck (`FitView.measured`)."""
+    grey = torch.full((3,), _GREY).to(drawn.image)
+    error = (drawn.over(grey).image.clamp(0, 1) - view.target(grey)).square().mean(-1) * view.measured
+    return float((error.sum() / view.measured.sum().clamp(min=1.0)).sqrt())
 
 
 def preview(view: FitView, drawn: Picture) -> np.ndarray:

@@ -27,7 +27,7 @@ from ..model.grmm import GRMM, Picture
 from ..session import Instance, RenderOptions, Session
 from .blurring import blurred
 from .inpainting import corners_of
-from .invert import photo_model_inputs, photo_texels, photo_views, seen_in
+from .invert import photo_error, photo_model_inputs, photo_texels, photo_views, seen_in
 from .lids import lash_line
 from .local_light import more_fine, more_local, on_face
 from .objective import contributions, decode, spread_to_colors
@@ -43,7 +43,7 @@ BARE = 0.05  # of a pixel by strands, from which on it tells no light of skin
 SLANT = 0.08  # cosine between normal and view from which on it does: the chin's underside is seen at a slant
 FINE_ROUNDS = 2  # of `local_light.more_fine`, each by another drawing: texels and pixels are about as large
 HALF_SEEN = 0.1  # pixels at which a texel is half believed
-_OPTIONS = RenderOptions(passes=("rgb", "hair"), background=(0.0, 0.0, 0.0))
+_OPTIONS = RenderOptions(passes=("rgb", "alpha", "hair"), background=(0.0, 0.0, 0.0))
 
 
 def settled(
@@ -129,6 +129,18 @@ def locally_lit(session: Session, model: GRMM, avatar: Avatar, tracks: Sequence[
             found.append(light)
     local, fine = np.stack([light.local for light in found]), np.stack([light.fine for light in found])
     return dataclasses.replace(avatar, tracking={**avatar.tracking, LOCAL: local, FINE: fine})
+
+
+def worn_errors(session: Session, model: GRMM, avatar: Avatar, tracks: Sequence[PhotoTrack]) -> list[float]:
+    """RMSE of an avatar in each photo's view and light (`invert.photo_error`), as a session draws it, strands and all."""
+    errors = []
+    with _opened(session, avatar) as number, torch.no_grad():
+        for view in photo_views(model, tracks):
+            controls, light = photo_controls(avatar, model.head_model, view.index), photo_light(avatar, view.index)
+            drawn = _worn(session, number, controls, view, light)
+            image, alpha = (torch.as_tensor(drawn[name]).to(view.image) for name in ("rgb", "alpha"))
+            errors.append(photo_error(view, Picture(image, image, alpha[..., 0], torch.zeros_like(alpha[..., 0]))))
+    return errors
 
 
 def _worn(session: Session, number: int, controls: Controls, view: FitView, light: Light) -> dict[str, np.ndarray]:

@@ -16,7 +16,7 @@ from grmm_core.controls.names import ALIGNED_NAMES
 from grmm_core.errors import CancelledError, ConfigError, FileFormatError, ShapeError
 from grmm_core.fitting.code_stage import code_prior
 from grmm_core.fitting.decoder_stage import Tuner
-from grmm_core.fitting.invert import invert, photo_errors, photo_pictures
+from grmm_core.fitting.invert import invert, photo_error, photo_pictures
 from grmm_core.fitting.locality import Locality, code_distances
 from grmm_core.fitting.objective import decode, draw, photo_inputs
 from grmm_core.fitting.photo_targets import fit_view, project
@@ -84,6 +84,10 @@ def photo(model, z_id, yaw=0.0, gain=1.0, smile=0.0, brown=0.0):
     )  # fmt: skip
 
 
+def errors_of(pictures):
+    return [photo_error(view, drawn) for view, drawn in pictures]
+
+
 def test_both_stages_bring_the_avatar_nearer_to_the_photo(person):
     model, info, z_id = person
     before = {name: value.clone() for name, value in model.state_dict().items()}
@@ -96,14 +100,14 @@ def test_both_stages_bring_the_avatar_nearer_to_the_photo(person):
         avatar = invert(
             tracks, model, model.head_model, QUICK, info=info, second_stage=second, on_codes=coded.append
         )  # fmt: skip
-        errors += photo_errors(photo_pictures(with_deltas(model, avatar.deltas, "avatar"), avatar, tracks, SIZE))
+        errors += errors_of(photo_pictures(with_deltas(model, avatar.deltas, "avatar"), avatar, tracks, SIZE))
     plain = dataclasses.replace(avatar, z_id=info.z_id.mean(0))
-    start = photo_errors(photo_pictures(model, plain, tracks, SIZE))[0]
+    start = errors_of(photo_pictures(model, plain, tracks, SIZE))[0]
     assert errors[0] < 0.6 * start
     assert errors[1] < 0.6 * errors[0]
     assert errors[1] < 0.03
     for first in coded:  # told between the stages, whether there is a second or not
-        again = photo_errors(photo_pictures(with_deltas(model, first.deltas, "first"), first, tracks, SIZE))
+        again = errors_of(photo_pictures(with_deltas(model, first.deltas, "first"), first, tracks, SIZE))
         assert again[0] == pytest.approx(errors[0], rel=1e-3)
     assert set(avatar.deltas) == {f"decoders.{name}_mean" for name in ("transform", "opacity", "appearance")}
     for name, value in model.state_dict().items():
@@ -163,10 +167,10 @@ def test_several_photos_of_other_exposure_make_one_person(person):
     tracks = [photo(model, z_id, yaw=-25.0), photo(model, z_id, yaw=25.0, gain=0.6, smile=0.5)]
     avatar = invert(tracks, model, model.head_model, QUICK, info=info)
     tuned = with_deltas(model, avatar.deltas, "avatar")
-    assert max(photo_errors(photo_pictures(tuned, avatar, tracks, SIZE))) < 0.05
+    assert max(errors_of(photo_pictures(tuned, avatar, tracks, SIZE))) < 0.05
     unseen = [photo(model, z_id, yaw=0.0)]  # between the photos
     between = dataclasses.replace(avatar, tracking={**avatar.tracking, "z_exp": np.zeros_like(avatar.tracking["z_exp"])})
-    assert photo_errors(photo_pictures(tuned, between, unseen, SIZE))[0] < 0.06
+    assert errors_of(photo_pictures(tuned, between, unseen, SIZE))[0] < 0.06
 
 
 def test_a_shadow_that_one_of_two_photos_shows_alone_is_less_on_the_person(person, monkeypatch):
@@ -178,7 +182,7 @@ def test_a_shadow_that_one_of_two_photos_shows_alone_is_less_on_the_person(perso
 
     def error(second):
         avatar = invert([other, second], model, model.head_model, QUICK, info=info)
-        return photo_errors(photo_pictures(with_deltas(model, avatar.deltas, "avatar"), avatar, [clean], SIZE))[0]
+        return errors_of(photo_pictures(with_deltas(model, avatar.deltas, "avatar"), avatar, [clean], SIZE))[0]
 
     least, believed_less = error(clean), error(shadowed)
     monkeypatch.setattr(Tuner, "compare_photos", lambda self, level: None)

@@ -1,7 +1,7 @@
 """How people's mouths rest: what the mean of the open head's people lacks of it.
 
-Corners of mouths lie lower than the middle of the lips by 0.036 of the distance of the eyes in the open head's people, by 0.018
-in people on photos who do not smile (docs/fitting_measured.md, "Mouths at rest"), so that they looked sullen.
+Its lips are thicker than people's and corners of its mouth lower (docs/fitting_measured.md, "Mouths at rest"), so that people
+looked sullen and as if they pouted.
 
 Used by people who are drawn at random and by fits. Needs numpy only.
 """
@@ -12,28 +12,42 @@ from functools import lru_cache
 
 import numpy as np
 
+from ..controls.names import ARKIT_NAMES
 from .head_model import HeadModel
 
-SMILES = ("mouthSmileLeft", "mouthSmileRight")
-RESTING = 0.15  # of a full smile, by which corners of mouths are higher in people than in the open head's people
-_RIDGE = 1e-5  # square metres of all vertices for the square of a coefficient
+# Heights between MediaPipe's landmarks (a mean of some, minus a mean of others): what people's mean has more of them than the
+# model's, over the distance between the middles of the eyes.
+RESTING = (
+    ((0,), (13,), -0.035),  # upper lip
+    ((14,), (17,), -0.035),  # lower lip
+    ((13,), (14,), 0.0),  # between them
+    ((13, 14), (61, 291), -0.018),  # the lips' middle above the corners
+)
+_EYES = ((33, 133), (362, 263))
+_RIDGE = 1e-4  # square metres of all vertices for the square of a coefficient
 
 
 @lru_cache(maxsize=4)
 def usual_shape(head: HeadModel) -> np.ndarray:
-    """Shape coefficients that people's mean has, [S], read only: corners of the mouth higher than in the model's mean.
+    """Shape coefficients that people's mean has, [S], read only: thinner lips and higher corners than in the model's mean.
 
-    The shape directions hold a third of the movement of a smile: the corners, as far above the middle of the lips as the smile
-    has them. Zero for heads without a smile of that name, such as FLAME, whose mean is that of people.
+    The smallest movement of the skin that changes the heights of `RESTING` by what they say. Zero for heads that are not of
+    the open head's people, such as FLAME, whose mean is that of people.
     """
     usual = np.zeros(head.shape_count)
-    if set(SMILES) <= set(head.expression_names):
-        usual = _lifted(head)
+    if head.landmarks478 is not None and set(head.expression_names) & set(ARKIT_NAMES):
+        usual = _rested(head)
     usual.flags.writeable = False
     return usual
 
 
-def _lifted(head: HeadModel) -> np.ndarray:
-    smile = head.expression_dirs[..., [head.expression_index(name) for name in SMILES]].astype(np.float64).sum(-1)  # [V, 3]
-    shapes = head.shape_dirs.astype(np.float64).reshape(-1, head.shape_count)
-    return np.linalg.solve(shapes.T @ shapes + _RIDGE * np.eye(head.shape_count), shapes.T @ (RESTING * smile.reshape(-1)))
+def _rested(head: HeadModel) -> np.ndarray:
+    points = head.landmark_positions(head.v_template, 478).astype(np.float64)
+    eye = np.linalg.norm(np.subtract(*(points[list(side)].mean(0) for side in _EYES)))
+    triangles, barycentric = head.landmarks478
+    moved = np.einsum("lk,lks->ls", barycentric, head.shape_dirs[head.faces[triangles], 1].astype(np.float64))  # [478, S]
+    heights = np.stack([moved[list(above)].mean(0) - moved[list(below)].mean(0) for above, below, _ in RESTING])
+    directions = head.shape_dirs.astype(np.float64).reshape(-1, head.shape_count)
+    cost = directions.T @ directions + _RIDGE * np.eye(head.shape_count)
+    cheapest = np.linalg.solve(cost, heights.T)  # [S, heights]
+    return cheapest @ np.linalg.solve(heights @ cheapest, eye * np.array([more for _, _, more in RESTING]))

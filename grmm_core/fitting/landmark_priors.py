@@ -226,8 +226,7 @@ def landmark_sigmas(rig: LandmarkRig, rotation: np.ndarray) -> np.ndarray:
     sigma = np.full(LANDMARK_COUNT, _SKIN_SIGMA)
     for group, value in _GROUP_SIGMA:
         sigma[list(group)] = value
-    facing = -(rig.normals @ rotation.T)[:, 2]
-    hidden = np.clip((_FACING_FULL - facing) / (_FACING_FULL - _FACING_NONE), 0.0, 1.0)
+    hidden = np.clip((_FACING_FULL - rig.facing(rotation)) / (_FACING_FULL - _FACING_NONE), 0.0, 1.0)
     return sigma * (1.0 + (_HIDDEN_FACTOR - 1.0) * hidden)
 
 

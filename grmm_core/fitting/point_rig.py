@@ -203,3 +203,7 @@ class LandmarkRig(PointRig):
         summed = spread_to_corners(face_normals(head.v_template.astype(np.float64), head.faces), head.faces, head.vertex_count)
         normals = np.einsum("nk,nkx->nx", barycentric, summed[head.faces[triangles]])
         self.normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+
+    def facing(self, rotation: np.ndarray) -> np.ndarray:
+        """How far the skin at each landmark faces the camera: cosines, [478], for a rotation from head to camera, [3, 3]."""
+        return -(self.normals @ rotation.T)[:, 2]

@@ -18,7 +18,7 @@ from ...grmm_core.controls.table import EXPRESSION, SHAPE, Z_EXP, Z_ID
 from ...grmm_core.errors import FileAccessError, FileFormatError
 from ...grmm_core.hair import HairSettings
 from ...grmm_core.head import HeadModel, load_flame, load_open_head
-from ...grmm_core.head.resting_mouth import usual_shape
+from ...grmm_core.head.usual_face import usual_shape
 from ...grmm_core.model.parameters import code_sizes
 from ...grmm_core.model.people import sampled_avatar
 from ...grmm_core.model.weights_file import read_weights, resolve_weights

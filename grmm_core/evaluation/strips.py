@@ -10,7 +10,7 @@ import numpy as np
 from torch import Tensor
 
 from ..geometry.camera import Camera
-from ..head.resting_mouth import usual_shape
+from ..head.usual_face import usual_shape
 from ..jobs.progress import Share, nobody
 from ..model.people import sampled_avatar
 from ..model.portrait import portrait

@@ -58,7 +58,7 @@ PLACED_NOISE, PLACED_SHARE = 0.2, 0.7
 
 # How far the reported coefficients are believed: mean of the prior = factor * reported.
 _START_FACTORS = {
-    "browInnerUp": 0.3, "browOuterUp": 0.3, "browDown": 0.8, "eyeSquint": 0.4, "eyeLook": 0.5, "mouthPucker": 0.5,
+    "browInnerUp": 0.3, "browOuterUp": 0.3, "browDown": 0.3, "eyeSquint": 0.4, "eyeLook": 0.5, "mouthPucker": 0.5,
     "mouthShrug": 0.3, "mouthStretch": 0.5, "mouthPress": 0.5,
 }  # fmt: skip
 _START_FACTOR = 0.85

@@ -14,7 +14,7 @@ import numpy as np
 from ..errors import ShapeError
 from ..geometry.camera import Camera
 from ..head.head_model import JOINT_COUNT
-from ..head.resting_mouth import usual_shape
+from ..head.usual_face import usual_shape
 from ..photo.landmarks import EYE_CORNERS, HeadLandmarks
 from .landmark_priors import PLACED_SHARE, VIEW_NOISE, View, landmark_modes, landmark_sigmas, make_priors, shape_priors
 from .point_rig import LandmarkRig

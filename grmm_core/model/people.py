@@ -41,7 +41,7 @@ def sampled_avatar(weights: WeightsInfo, z_exp_size: int, seed: int, usual: np.n
         weights: What the weights file says.
         z_exp_size: Length of the model's residual expression code.
         seed: Equal seeds give equal people.
-        usual: What people's mean has that the training people's lacks (`head.resting_mouth.usual_shape`), [S].
+        usual: What people's mean has that the training people's lacks (`head.usual_face.usual_shape`), [S].
 
     Raises:
         ConfigError: The weights know fewer than two people.

@@ -17,7 +17,7 @@ from ..controls.frame import Controls
 from ..errors import SessionError
 from ..geometry.libraries import to_numpy
 from ..hair.packaged import HEAD
-from ..head.resting_mouth import usual_shape
+from ..head.usual_face import usual_shape
 from ..model.people import default_avatar, sampled_avatar
 from .carrying import can_carry, in_its_colors, without_changes
 from .engines import Engine

@@ -14,7 +14,7 @@ from grmm_core.fitting import landmark_priors, landmark_stage
 from grmm_core.fitting.landmark_priors import FACE_OVAL, landmark_modes
 from grmm_core.fitting.landmark_stage import Observation, fit_landmarks
 from grmm_core.geometry.camera import Camera
-from grmm_core.head.resting_mouth import usual_shape
+from grmm_core.head.usual_face import usual_shape
 from grmm_core.photo.landmarks import HeadLandmarks
 
 SIZE = 512

@@ -1,7 +1,7 @@
-"""How people's mouths rest: what the mean of the open head's people lacks of it.
+"""How people's faces rest: what the mean of the open head's people lacks of it.
 
-Its lips are thicker than people's and corners of its mouth lower (docs/fitting_measured.md, "Mouths at rest"), so that people
-looked sullen and as if they pouted.
+Its lips are thicker than people's, corners of its mouth lower and brows higher (docs/fitting_measured.md, "Faces at rest"), so
+that people looked sullen, as if they pouted, and surprised.
 
 Used by people who are drawn at random and by fits. Needs numpy only.
 """
@@ -18,6 +18,8 @@ from .head_model import HeadModel
 # Heights between MediaPipe's landmarks (a mean of some, minus a mean of others): what people's mean has more of them than the
 # model's, over the distance between the middles of the eyes.
 RESTING = (
+    ((66, 105, 296, 334), (33, 133, 263, 362), -0.03),  # brows above the eyes
+    ((159, 386), (145, 374), 0.0),  # between the lids
     ((0,), (13,), -0.035),  # upper lip
     ((14,), (17,), -0.035),  # lower lip
     ((13,), (14,), 0.0),  # between them
@@ -29,7 +31,7 @@ _RIDGE = 1e-4  # square metres of all vertices for the square of a coefficient
 
 @lru_cache(maxsize=4)
 def usual_shape(head: HeadModel) -> np.ndarray:
-    """Shape coefficients that people's mean has, [S], read only: thinner lips and higher corners than in the model's mean.
+    """Shape coefficients that people's mean has, [S], read only: thinner lips, higher corners and lower brows than the model's.
 
     The smallest movement of the skin that changes the heights of `RESTING` by what they say. Zero for heads that are not of
     the open head's people, such as FLAME, whose mean is that of people.

@@ -190,7 +190,8 @@ def _make(
     person = with_deltas(loaded.model, avatar.deltas, folder)
     finish(0.75)
     avatar = locally_lit(session, person, avatar, tracks)
-    figures = {"rmse": worn_errors(session, person, avatar, tracks), "landmark_error": [track.landmark_error for track in tracks]}
+    errors = worn_errors(session, person, avatar, tracks)
+    figures = {"rmse": errors, "landmark_error": [track.landmark_error for track in tracks]}
     today = datetime.datetime.now(datetime.UTC).date().isoformat()
     avatar = dataclasses.replace(
         avatar,

@@ -46,6 +46,7 @@ def usual_shape(head: HeadModel) -> np.ndarray:
 def _rested(head: HeadModel) -> np.ndarray:
     points = head.landmark_positions(head.v_template, 478).astype(np.float64)
     eye = np.linalg.norm(np.subtract(*(points[list(side)].mean(0) for side in _EYES)))
+    assert head.landmarks478 is not None
     triangles, barycentric = head.landmarks478
     moved = np.einsum("lk,lks->ls", barycentric, head.shape_dirs[head.faces[triangles], 1].astype(np.float64))  # [478, S]
     heights = np.stack([moved[list(above)].mean(0) - moved[list(below)].mean(0) for above, below, _ in RESTING])

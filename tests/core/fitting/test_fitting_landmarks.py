@@ -187,7 +187,7 @@ def test_a_mouth_is_as_wide_as_it_looks_where_the_network_reports_no_expression(
 
 
 def test_a_mouth_that_is_seen_smiling_rests_as_peoples_do(rig, monkeypatch):
-    """No photo of a smile shows how it rests: people's mean tells, with thinner lips and higher corners than the open head's."""
+    """No photo of a smile shows how it rests: people's mean tells, whose lips are thinner and corners higher."""
 
     def mouth(shape):
         """How far the corners droop and how thick the lips are, millimetres."""

@@ -1,4 +1,4 @@
-"""What the mean of the open head's people lacks of people's: lips that do not pout, corners of mouths that are not sullen, low brows."""
+"""What the mean of the open head's people lacks of people's: thin lips, high corners of the mouth, low brows."""
 
 from __future__ import annotations
 

@@ -42,10 +42,11 @@ PSNR = {
 }
 # Median opacity of the face's Gaussians; median depth spread of what is blended at a pixel of the face, millimetres.
 FOG = {"default": (0.907, 1.11), "long": (0.906, 1.03), "beard": (0.906, 1.27), "afro": (0.905, 1.05)}
-# Of values 0..1 in the photo's own view and light, preset fast, skin alone, drawn with the strands: the shade of a fringe is
-# not on a bare head, by which `grmm fit` reckons. By that it was 0.0392 while hair was painted into the Gaussians, 0.0521
-# before light was taken out of colors, 0.0333 by an earlier program, and is 0.018 to 0.020, as the fringe shades the forehead.
-PHOTO_RMSE = 0.0157
+# Of values 0..1 in the photo's own view and light, preset fast, skin alone, drawn with the strands. 0.0158 by the program that
+# told shapes by the head model's landmarks alone: lower teeth show in the smile now. Likeness at rest, by 30 degrees was 0.473,
+# 0.542 and is 0.461, 0.495.
+PHOTO_RMSE = 0.0167
+PHOTO_LANDMARKS = 0.0128  # off from those that MediaPipe finds, of the eyes' distance; by that program 0.016
 PHOTO_HAIR = 0.916  # overlap of its hair with the photo's; by another groom 0.84
 
 
@@ -117,6 +118,7 @@ def test_few_gaussians_are_blended_at_a_pixel(avatar, session):
 @pytest.mark.slow
 def test_a_photo_is_fitted_as_closely_as_ever(photo_file, tmp_path):
     found = evaluate_photo(photo_file("astronaut"), Scene(WEIGHTS), None, tmp_path, "fast")
-    print(f"\nphoto: RMSE {found['rmse']:.4f}, hair's overlap {found['hair_overlap']:.3f}")
+    print(f"\nphoto: RMSE {found['rmse']:.4f}, landmarks {found['landmark_error']:.4f}, hair {found['hair_overlap']:.3f}")
     assert found["rmse"] < PHOTO_RMSE * (1.0 + QUALITY_SHARE)
+    assert found["landmark_error"] < PHOTO_LANDMARKS * (1.0 + QUALITY_SHARE)
     assert found["hair_overlap"] > PHOTO_HAIR * (1.0 - QUALITY_SHARE)

@@ -19,7 +19,7 @@ from grmm_core.fitting.photo_light import MATT
 from grmm_core.fitting.photo_targets import aligned_weights, bare_pixels
 from grmm_core.fitting.result import LOCAL, photo_controls, photo_light
 from grmm_core.fitting.root_shade import APPEARANCE, shaded_scalp
-from grmm_core.fitting.settling import locally_lit, settled
+from grmm_core.fitting.settling import locally_lit, settled, worn_errors
 from grmm_core.geometry.camera import Camera
 from grmm_core.geometry.zbuffer import triangle_depth
 from grmm_core.hair import library_groom
@@ -121,6 +121,18 @@ def test_what_photos_show_otherwise_becomes_their_light(session, model, tmp_path
     assert off[0] > 0.08
     assert off[1] < 0.35 * off[0]
     np.testing.assert_array_equal(lit.deltas[APPEARANCE], avatar.deltas[APPEARANCE])
+
+
+def test_a_color_error_is_of_the_head_with_its_strands(session, model, tmp_path):
+    light, head = light_from_a_side(), model.head_model
+    avatar, track = colored(session, light, library_groom("bushy", head.name, "brows"), LARGE)
+    drawn = worn(session, avatar, head, track.camera, light, tmp_path / "person.grmm")["rgb"]
+    track = dataclasses.replace(track, image=np.clip(drawn, 0.0, 1.0))
+    with_brows, bare = (
+        worn_errors(session, model, one, [track])[0] for one in (avatar, dataclasses.replace(avatar, hair=None))
+    )
+    assert with_brows < 0.004
+    assert bare > 1.5 * with_brows
 
 
 def test_skin_that_a_photo_shows_bare_takes_no_shade_of_roots(session, model):

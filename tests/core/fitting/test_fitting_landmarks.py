@@ -145,6 +145,20 @@ def test_both_kinds_of_landmarks_tell_the_shape_and_mediapipes_where_the_face_is
     np.testing.assert_allclose(both.landmarks[0].mean(0), found.landmarks[:, :2].mean(0), atol=1.0)
 
 
+def test_mediapipes_landmarks_tell_no_shape_along_the_outline(rig):
+    camera = Camera.orbit(SIZE, SIZE, yaw=30.0, distance=1.2)
+    facing = rig.facing(camera.world_to_camera[:3, :3])
+    placed = observe(rig, person(4), np.zeros(100), camera).landmarks[:, :2]
+    slid = np.where(facing[:, None] < 0.2, [9.0, 11.0], [9.0, -4.0])  # all of them beside, the slanted ones otherwise
+    assert 50 < (facing < 0.2).sum() < 200
+    np.testing.assert_allclose(landmark_stage._of_both(placed, placed + slid, facing), placed, atol=1e-9)
+    front = facing > 0.7
+    apart = np.where(front[:, None], [4.0, 0.0], 0.0)
+    moved = landmark_stage._of_both(placed, placed + apart, facing) - placed
+    assert 50 < front.sum() < 239, "less than half: these are no shift of all"
+    np.testing.assert_allclose(moved, 0.5 * apart, atol=1e-9)
+
+
 def test_of_several_photos_both_kinds_of_landmarks_tell_where_each_face_is(rig):
     shape, camera, beside = person(4), Camera.orbit(SIZE, SIZE, yaw=12.0, distance=1.2), np.array([9.0, -4.0])
     found = observe(rig, shape, np.zeros(100), camera)

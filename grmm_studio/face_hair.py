@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from grmm_core.hair.lashes import lash_edges
 from grmm_core.head import HeadModel
+from grmm_core.head.lash_cards import lash_edges
 from grmm_core.wrinkles.noise import smoothstep, wave_noise
 
 from .fields import beard_density, sideburns

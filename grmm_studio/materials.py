@@ -13,6 +13,7 @@ import bpy
 import numpy as np
 
 from grmm_core.data.layers import ALBEDO, PARTS
+from grmm_core.light.eye_shade import IRIS, LIMBUS, WHITE
 from grmm_core.wrinkles.families import LINE_DEPTH
 
 from .passes import PART_OUTPUTS
@@ -168,7 +169,7 @@ def skin_material(s: Subject, textures: SkinTextures, subsurface: bool) -> bpy.t
 
 
 def eye_material(s: Subject) -> bpy.types.Material:
-    """Sclera with veins, iris with fibres, limbus, pupil, wet coat."""
+    """Sclera with veins, iris with fibres, limbus, pupil, wet coat, in the shade of lids: the vertex attribute `lids`."""
     n = Nodes("eye")
     d = n.vector("rest")
     parts = n.node("ShaderNodeSeparateXYZ", {0: d}).outputs
@@ -206,7 +207,9 @@ def eye_material(s: Subject) -> bpy.types.Material:
     far = n.ramp(angle, s.iris_angle + 0.10, s.iris_angle + 0.75)
     sclera = n.mix(n.math("MULTIPLY", veins, n.math("MULTIPLY", far, 0.55)), s.sclera, (0.62, 0.16, 0.12))
     sclera = n.mix(n.math("MULTIPLY", far, 0.35), sclera, (0.72, 0.45, 0.38))
+    tone = n.mix(n.ramp(angle, *np.radians(LIMBUS)), tuple(IRIS), tuple(WHITE))
     color = n.mix(n.ramp(angle, s.iris_angle - 0.025, s.iris_angle + 0.03), iris, sclera)
+    color = n.mix(1.0, n.mix(1.0, color, tone, "MULTIPLY"), n.attribute("lids"), "MULTIPLY")
     return n.finish(
         n.node(
             "ShaderNodeBsdfPrincipled",

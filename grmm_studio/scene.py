@@ -19,6 +19,8 @@ from grmm_core.geometry.camera import Camera
 from grmm_core.hair.groom import Groom
 from grmm_core.hair.roots import BEARD, BROWS, LASHES, SCALP
 from grmm_core.head import HeadModel
+from grmm_core.light.cornea import EYEBALLS
+from grmm_core.light.eye_shade import lid_edges, lids_leave
 
 from . import fields
 from .flesh import Flesh
@@ -63,6 +65,8 @@ class Studio:
         self.head = head
         self.mesh = RenderMesh.build(head)
         self.size = size
+        balls = np.flatnonzero(np.maximum(*(self._mask(name) for name in EYEBALLS)) > 0.99)
+        self._eyes = balls, lid_edges(head, np.sign(self.mesh.spread(np.asarray(head.v_template, float))[balls, 0]))
         self._atlas, self._teeth = Atlas.build(head, texture_size), TeethAtlas.build(head)
         self.subsurface = subsurface
         self.scene = bpy.context.scene
@@ -133,6 +137,7 @@ class Studio:
         mesh = self._objects[0].data
         mesh.vertices.foreach_set("co", to_blender(fine).astype(np.float32).ravel())
         mesh.attributes["wrinkle"].data.foreach_set("value", self._wrinkles(posed).astype(np.float32))
+        mesh.attributes["lids"].data.foreach_set("value", self._between_lids(fine, posed))
         lines, blood = self._lines.amounts(expression)
         mesh.attributes["lines"].data.foreach_set("vector", lines.astype(np.float32).ravel())
         mesh.attributes["blood"].data.foreach_set("vector", blood.astype(np.float32).ravel())
@@ -213,6 +218,7 @@ class Studio:
         values = {
             "wrinkle": self._age_lines,
             "mouth": self._mask("mouth_interior"),
+            "lids": np.ones(len(rest)),
         }
         for name, value in values.items():
             attribute = mesh.attributes.new(name, "FLOAT", "POINT")
@@ -242,13 +248,20 @@ class Studio:
 
     def _shader_rest(self, rest: np.ndarray) -> np.ndarray:
         result = rest.copy()
-        for name in ("left_eyeball", "right_eyeball"):
+        for name in EYEBALLS:
             own = self._mask(name) > 0.99
             if own.any():
                 points = rest[own]
                 centre = 0.5 * (points.min(0) + points.max(0))
                 result[own] = (points - centre) / np.linalg.norm(points - centre, axis=1, keepdims=True)
         return result
+
+    def _between_lids(self, fine: np.ndarray, posed: np.ndarray) -> np.ndarray:
+        """Light that lids leave to eyeballs (`light.eye_shade`), [fine vertices] float32."""
+        balls, edges = self._eyes
+        light = np.ones(len(fine), np.float32)
+        light[balls] = lids_leave(fine[balls].astype(np.float32), posed.astype(np.float32), edges)
+        return light
 
     def _wrinkles(self, posed: np.ndarray) -> np.ndarray:
         """Lines of age plus lines where the skin is compressed, [fine vertices]."""

@@ -12,8 +12,8 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from grmm_core.hair.lashes import lash_edges
 from grmm_core.head import HeadModel
+from grmm_core.head.lash_cards import lash_edges
 from grmm_core.wrinkles.lines import paint_lines
 from grmm_core.wrinkles.noise import bump, smoothstep
 

@@ -10,16 +10,13 @@ Called by `decoder_stage`. Imports torch.
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from ..light.cornea import EYEBALLS
+from ..light.eye_shade import LIMBUS, polar_angles
 from ..model.grmm import GRMM
-from .inpainting import corners_of
 
-IRIS_DEGREES = (22.0, 25.5)  # from the pole of an eyeball: up to the first all is iris or pupil, from the second on white
-PUPIL_DEGREES = (8.0, 10.0)  # likewise up to which all is pupil, and from where on iris
+PUPIL_DEGREES = (8.0, 10.0)  # from the pole of an eyeball: up to which all is pupil, and from where on iris
 TELLS_IRIS = (10.0, 20.0)  # likewise, what tells the iris's tone: neither the pupil nor the dark rim
 TELLS_WHITE = (28.0, 50.0)
 DETAIL = 0.03  # of a color, that eyes keep beside their tone
@@ -37,17 +34,9 @@ def eye_angles(model: GRMM) -> Tensor:
 
     Infinite everywhere where Gaussians have hair: no light at the texels keeps there what a photo shows of eyes.
     """
-    head, corners = model.head_model, corners_of(model)
-    barycentric = model.anchor.barycentric.cpu().numpy()
-    angles = np.full(len(corners), np.inf)
-    for name in EYEBALLS if model.config.hairless else ():
-        ball = head.v_template[head.marked(name)]
-        rows = np.flatnonzero(head.marked(name)[corners].all(1))
-        if not len(rows):
-            continue
-        places = np.einsum("nk,nkx->nx", barycentric[rows], head.v_template[corners[rows]]) - (ball.max(0) + ball.min(0)) / 2
-        angles[rows] = np.degrees(np.arctan2(np.linalg.norm(places[:, :2], axis=1), places[:, 2]))
-    return torch.as_tensor(angles).to(model.anchor.barycentric)
+    if not model.config.hairless:
+        return torch.full((model.gaussian_count,), torch.inf).to(model.anchor.barycentric)
+    return torch.as_tensor(polar_angles(model.head_model, model.lit_texels)).to(model.anchor.barycentric)
 
 
 def plain_eyes(angles: Tensor, colors: Tensor, decoded: Tensor, known: Tensor, amid: Tensor) -> Tensor:
@@ -69,7 +58,7 @@ def plain_eyes(angles: Tensor, colors: Tensor, decoded: Tensor, known: Tensor, a
     white = light * (white / light).clamp(1.0 - WHITE_TINT, 1.0 + WHITE_TINT)
     iris = iris.clamp(*TONE)
     pupil = iris.mean().clamp(max=1.0).expand(3)
-    tone = torch.lerp(torch.lerp(pupil, iris, _share(angles, PUPIL_DEGREES)), white, _share(angles, IRIS_DEGREES))
+    tone = torch.lerp(torch.lerp(pupil, iris, _share(angles, PUPIL_DEGREES)), white, _share(angles, LIMBUS))
     plain = decoded * tone
     plain = plain + amid[:, None] * DETAIL * torch.tanh((colors - plain) / DETAIL)
     return torch.where(torch.isfinite(angles)[:, None], plain, colors)

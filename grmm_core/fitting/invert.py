@@ -197,7 +197,7 @@ class _Inversion:
             if "face" not in model.head_model.regions:  # what is light and what is color cannot be told
                 return light, list(lights)
             flat = to_linear(to_numpy(start_colors(frontal, codes, surface)).astype(np.float64))
-            texels = photo_texels(model)
+            texels = model.lit_texels
             seen = [
                 seen_in(model, texels, inputs, view).of_skin(model.head_model, texels)
                 for inputs, view in zip(posed, views, strict=True)
@@ -265,11 +265,6 @@ def photo_views(model: GRMM, tracks: Sequence[PhotoTrack], side: int = MEASURED_
     return [fit_view(track, model.head_model, index, side, *kind) for index, track in enumerate(tracks)]
 
 
-def photo_texels(model: GRMM) -> Texels:
-    """Texels of a model's avatars."""
-    return Texels.of(model.head_model, model.layout.face, model.layout.barycentric)
-
-
 def seen_in(
     model: GRMM, texels: Texels, inputs: ModelInputs[Tensor], view: FitView, picture: np.ndarray | None = None,
     counts: np.ndarray | float = 1.0, least: float = FACING,
@@ -278,7 +273,7 @@ def seen_in(
 
     Args:
         model: Model.
-        texels: `photo_texels`.
+        texels: `GRMM.lit_texels`.
         inputs: As the photo shows the person.
         view: The photo.
         picture: Display sRGB, [H, W, 3]; None: the photo's.

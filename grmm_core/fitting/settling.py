@@ -27,7 +27,7 @@ from ..model.grmm import GRMM, Picture
 from ..session import Instance, RenderOptions, Session
 from .blurring import blurred
 from .inpainting import corners_of
-from .invert import photo_error, photo_model_inputs, photo_texels, photo_views, seen_in
+from .invert import photo_error, photo_model_inputs, photo_views, seen_in
 from .lids import lash_line
 from .local_light import more_fine, more_local, on_face
 from .objective import contributions, decode, spread_to_colors
@@ -107,7 +107,7 @@ def locally_lit(session: Session, model: GRMM, avatar: Avatar, tracks: Sequence[
     """
     if LOCAL not in avatar.tracking:
         return avatar
-    head, texels, found = model.head_model, photo_texels(model), []
+    head, texels, found = model.head_model, model.lit_texels, []
     face, lashed = on_face(head, texels), to_numpy(lash_line(model)[0]) > 0.0
     lashed[on_eyes(head, corners_of(model))] = True  # eyes, and the line around them: strands lie over these
     with _opened(session, avatar) as number, torch.no_grad():

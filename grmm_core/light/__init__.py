@@ -10,6 +10,7 @@
 ``lobes``         what surfaces mirror
 ``skin_relief``   pores and furrows in highlights and close-ups; ``skin_relief_kernel`` again, compiled
 ``cornea``        the bulge of eyes that glints stand on
+``eye_shade``     whites of eyes, and the shade of lids on them
 ``shading``       irradiance relative to the rig, and highlights, at each Gaussian
 ``hair_shading``  the same for strands
 ``shadow_kernels`` shadow maps again, compiled; ``light_kernels`` shading and relighting;

@@ -66,6 +66,7 @@ class GRMMConfig:
         hairless: Trained on people without any hair: scalp hair, brows, lashes and beards are strands that sessions add.
         turned_light: Colors of a head that its neck turns change as the capture studio's rig lights it (`light.turning`); to be
             off for data in another light. The paper's form has nothing like it.
+        eye_shade: Eyes lie in the shade of their lids, which colors do not hold (`light.eye_shade`); likewise.
         refine: Whether there is a refinement network.
         refine_channels: Widths of the refinement network's levels, finest first.
         refine_unshuffle: Pixels along a side folded into channels before the first convolution (1 or 2).
@@ -98,6 +99,7 @@ class GRMMConfig:
     antialias: bool = False
     hairless: bool = False
     turned_light: bool = True
+    eye_shade: bool = True
     refine: bool = True
     refine_channels: tuple[int, ...] = (32, 64, 128)
     refine_unshuffle: int = 1
@@ -182,7 +184,7 @@ def _check_type(name: str, annotation: str, value: Any) -> None:
 
 
 PRESETS: dict[str, GRMMConfig] = {
-    "paper": GRMMConfig(turned_light=False),
+    "paper": GRMMConfig(turned_light=False, eye_shade=False),
     # the paper's sizes with the two extensions that gave the largest gains, and clamped scales
     "base": GRMMConfig(
         name="base", grid=512, features=32, z_id=256, z_exp=128, mesh_hidden=128, mesh_rank=64,

@@ -11,6 +11,7 @@ Batches as in `inputs`: [..., K] with any leading dimensions, up to the rasteris
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -24,6 +25,7 @@ from ..geometry.camera import Camera
 from ..geometry.libraries import to_numpy
 from ..geometry.tensor_rotations import euler_to_rotvec
 from ..head.torch_head import TorchHead
+from ..light.eye_shade import eye_shade
 from ..light.resting import Texels
 from ..light.turning import turned_shade
 from ..splat import Gaussians, RasterOutput, rasterize
@@ -295,13 +297,24 @@ class GRMM(nn.Module):
         """What the neck's turn makes of colors in the studio's light, [N, 1], of posed vertices [V, 3]; see `light.turning`."""
         if not self.config.turned_light or not bool(pose[..., NECK, :].any()):
             return None
-        texels = Texels.of(self.head_model, self.layout.face, self.layout.barycentric)
-        shade = turned_shade(self.head_model, texels, to_numpy(vertices), to_numpy(pose))
+        shade = turned_shade(self.head_model, self.lit_texels, to_numpy(vertices), to_numpy(pose))
         return None if shade is None else torch.as_tensor(shade, dtype=self.dtype, device=self.device)
 
+    def eye_shade(self, vertices: Tensor) -> Tensor | None:
+        """What lids leave of the colors of eyes, [N, 3], of posed vertices [V, 3]; None for models without `eye_shade`."""
+        shade = eye_shade(self.head_model, self.lit_texels, to_numpy(vertices)) if self.config.eye_shade else None
+        return None if shade is None else torch.as_tensor(shade, dtype=self.dtype, device=self.device)
+
+    @functools.cached_property
+    def lit_texels(self) -> Texels:
+        """Where the Gaussians are on the mesh, as light needs it."""
+        return Texels.of(self.head_model, self.layout.face, self.layout.barycentric)
+
     def gaussians(self, vertices: Tensor, attributes: Attributes) -> Gaussians:
-        """Place decoded attributes on the posed vertices [V, 3] of one head."""
+        """Place decoded attributes on the posed vertices [V, 3] of one head, eyes in the shade of their lids."""
         placed = self.geometry(vertices, attributes.offsets)
+        shade = self.eye_shade(vertices)
+        attributes = attributes if shade is None else attributes.recolored(attributes.colors * shade)
         features = attributes.features if self.config.features else None
         return Gaussians(*placed, torch.sigmoid(attributes.logits), attributes.colors, features)
 

@@ -8,6 +8,7 @@ appearance     identity code, view direction (to the last bit)
 offsets        identity code, expression code
 tint           identity code, expression code
 turned shade   what mesh depends on
+eye shade      likewise
 rest           shape
 mesh           identity code, expression code, shape, expression, pose, strength
 geometry       what mesh and offsets depend on
@@ -31,6 +32,7 @@ import numpy as np
 from ..avatar import Avatar
 from ..controls.frame import Controls
 from ..geometry.libraries import to_numpy, zeros
+from ..light.eye_shade import eye_shade
 from ..light.resting import Texels
 from ..light.turning import turned_shade
 from ..model.detail import Blocks, texel_blocks, thin_out
@@ -153,6 +155,8 @@ class Evaluator:
         placed = self.geometry(target, inputs, None if cap is None else cap.share)
         colors = colors + tint
         shade = None if lit_later or not target.model.config.turned_light else self.turned_shade(target, inputs)
+        colors = colors if shade is None else colors * shade
+        shade = self.eye_shade(target, inputs) if target.model.config.eye_shade else None
         colors = (colors if shade is None else colors * shade).clip(0.0, 1.0)
         full = Gaussians(*placed, opacities, colors, features)
         return full if lod == 0 else thin_out(full, self.blocks(target, lod), lod)
@@ -166,6 +170,17 @@ class Evaluator:
             return () if shade is None else (self.engine.array(shade),)
 
         found = self.cache.get((target.id, "turned shade", *inputs.mesh_key), make)
+        return found[0] if found else None
+
+    def eye_shade(self, target: OpenAvatar, inputs: Inputs) -> Any:
+        """Return what lids leave of the colors of eyes, [N, 3]; None where no lids have lashes."""
+
+        def make() -> tuple[Any, ...]:
+            head, vertices = target.model.head_model, to_numpy(self.mesh(target, inputs).vertices)
+            shade = eye_shade(head, self.texels(target), vertices)
+            return () if shade is None else (self.engine.array(shade),)
+
+        found = self.cache.get((target.id, "eye shade", *inputs.mesh_key), make)
         return found[0] if found else None
 
     def texels(self, target: OpenAvatar) -> Texels:

@@ -20,8 +20,8 @@ from grmm_core.controls.names import ALIGNED_NAMES
 from grmm_core.data.dataset import CaptureDataset
 from grmm_core.data.layers import NORMAL, PART_LAYER, PARTS
 from grmm_core.errors import ConfigError
-from grmm_core.hair.lashes import lash_edges
 from grmm_core.hair.roots import BEARD, BROWS, LASHES, SCALP
+from grmm_core.head.lash_cards import lash_edges
 from grmm_core.head.open_head import load_open_head, load_people_model
 from grmm_studio import grooming
 from grmm_studio.capture import job_order

@@ -18,7 +18,6 @@ from ...grmm_core.controls.table import EXPRESSION, SHAPE, Z_EXP, Z_ID
 from ...grmm_core.errors import FileAccessError, FileFormatError
 from ...grmm_core.hair import HairSettings
 from ...grmm_core.head import HeadModel, load_flame, load_open_head
-from ...grmm_core.head.usual_face import usual_shape
 from ...grmm_core.model.parameters import code_sizes
 from ...grmm_core.model.people import sampled_avatar
 from ...grmm_core.model.weights_file import read_weights, resolve_weights
@@ -121,7 +120,7 @@ def _random_person(source: str) -> Identity:
     weights = read_weights(resolve_weights(session_host.settings().weights or None)).info
     head = load_head(AssetReference(weights.head_name))
     sizes = code_sizes(weights.config, head)
-    person = sampled_avatar(weights, sizes[1], int(source.removeprefix(SAMPLE_PREFIX)), usual_shape(head))
+    person = sampled_avatar(weights, sizes[1], int(source.removeprefix(SAMPLE_PREFIX)), head)
     return Identity(
         person.name, head, person.shape[: head.shape_count], z_id_size=sizes[0], z_exp_size=sizes[1], z_id=person.z_id,
         weights=(weights.sha256, *weights.continued),

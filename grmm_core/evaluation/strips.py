@@ -10,7 +10,6 @@ import numpy as np
 from torch import Tensor
 
 from ..geometry.camera import Camera
-from ..head.usual_face import usual_shape
 from ..jobs.progress import Share, nobody
 from ..model.people import sampled_avatar
 from ..model.portrait import portrait
@@ -65,7 +64,7 @@ def random_people(scene: Scene, size: int, count: int = RANDOM_PEOPLE) -> list[l
     """People drawn from the model with seeds 0, 1, 2 ..., none chosen, in rows of four."""
     pictures = []
     for seed in range(count):
-        drawn = sampled_avatar(scene.info, scene.model.z_exp_size, seed, usual_shape(scene.model.head_model))
+        drawn = sampled_avatar(scene.info, scene.model.z_exp_size, seed, scene.model.head_model)
         person = scene.from_avatar(drawn)
         pictures.append(_array(posed(scene, person, {}, size, YAWS[seed % len(YAWS)])))
     return [pictures[i : i + 4] for i in range(0, count, 4)]

@@ -68,6 +68,12 @@ class Description:
     density: np.ndarray
     scalars: np.ndarray
 
+    @property
+    def length(self) -> float:
+        """Of the hair in the mean, metres."""
+        steps = np.linalg.norm(np.diff(self.guides, axis=1, prepend=0.0), axis=2).sum(1)
+        return float((steps * self.density).sum() / max(float(self.density.sum()), 1e-6))
+
     def vector(self) -> np.ndarray:
         """All of it as one row [D], in metres or what counts as much."""
         weight = np.sqrt(self.guides[..., 0].size)

@@ -21,6 +21,7 @@ from ..head.skinning import posed_vertices
 from ..model.config import BASIS_COLOR, BASIS_GROUPS, COLOR_CHANNELS, METRES_PER_MM, TRANSFORM_CHANNELS
 from ..model.inputs import InputSpace, ModelInputs
 from ..model.layout import CompressedRows, anchor_tables, compressed_rows, map_reader
+from ..model.lip_line import lip_line, redrawn
 from ..model.parameters import EXPRESSION_MAPS, code_sizes
 from ..model.steps import Geometry, Mesh, Rest, depth_range, face_mask, normalise_depth, refinement_grid
 from ..model.weights_file import WeightsFile
@@ -52,6 +53,7 @@ class PlainModel:
         names |= {"refinement": "refinement."} if config.refine else {}
         self._networks = {name: self._network(name, prefix, like) for name, prefix in names.items()}
         self._sums: dict[str, tuple[bytes, np.ndarray]] = {}  # of basis maps and means: the last code and what it gave
+        self._lip_line = lip_line(file.head, file.layout) if config.lip_line else None
         self._empty = file.layout.on_lash_cards(file.head) if config.hairless else np.zeros(0, np.int64)
         self._tables: _Tables = _Tables(file) if like is None else like._tables
 
@@ -108,7 +110,7 @@ class PlainModel:
         added = self._basis(BASIS_COLOR, z_id)
         if added is not None:
             colors += added
-        return colors, np.ascontiguousarray(values[:, COLOR_CHANNELS:])
+        return redrawn(colors, self._lip_line), redrawn(np.ascontiguousarray(values[:, COLOR_CHANNELS:]), self._lip_line)
 
     def expression_colors(self, z_id: np.ndarray, z_exp: np.ndarray) -> np.ndarray:
         """What z_exp [Y] adds to the colors of z_id [Z], display sRGB, [N, 3] or a row of zeros."""

@@ -32,7 +32,7 @@ class _Edge(NamedTuple):
     Attributes:
         vertices: Along it, from the person's right to the left.
         ball: Those of its eyeball.
-        rows: Of `_Eyes`, those of its eye.
+        rows: Of the points, those on its eye.
         above: 1 for an upper lid, -1 for a lower one.
         most, reach: See `UPPER`.
     """
@@ -45,42 +45,39 @@ class _Edge(NamedTuple):
     reach: float
 
 
-class _Eyes(NamedTuple):
+class Eyes(NamedTuple):
     """What is the same in every pose.
 
     Attributes:
+        total: Number of all texels, N.
         texels: That can be seen between lids, [M].
         corners, weights: Of them, [M, 3] each.
         tone: Of them, [M, 3].
         edges: Of the lids.
     """
 
+    total: int
     texels: np.ndarray
     corners: np.ndarray
     weights: np.ndarray
     tone: np.ndarray
     edges: tuple[_Edge, ...]
 
+    def shade(self, vertices: np.ndarray) -> np.ndarray:
+        """What display colors of the texels are multiplied by, [N, 3] float32, on posed vertices [V, 3], metres."""
+        vertices = np.asarray(vertices, np.float32)
+        places = np.einsum("nk,nkx->nx", self.weights, vertices[self.corners])
+        shade = np.ones((self.total, 3), np.float32)
+        shade[self.texels] = (self.tone * lids_leave(places, vertices, self.edges)[:, None]) ** np.float32(1.0 / _GAMMA)
+        return shade
 
-_KNOWN: Recent[_Eyes] = Recent(2)
+
+def eyes_of(head: HeadModel, texels: Texels) -> Eyes | None:
+    """The eyes of a head on its texels; None on heads without lashes on their lids."""
+    return _KNOWN.get((head, texels.face, texels.barycentric), lambda: (_found(head, texels),))[0]
 
 
-def eye_shade(head: HeadModel, texels: Texels, vertices: np.ndarray) -> np.ndarray | None:
-    """What display colors of N texels are multiplied by, [N, 3] float32; None on heads without lashes on their lids.
-
-    Args:
-        head: Head model.
-        texels: Of it.
-        vertices: Posed, [V, 3] metres.
-    """
-    eyes = _KNOWN.get((head, texels.face, texels.barycentric), lambda: _eyes(head, texels))
-    if not len(eyes.texels):
-        return None
-    vertices = np.asarray(vertices, np.float32)
-    places = np.einsum("nk,nkx->nx", eyes.weights, vertices[eyes.corners])
-    shade = np.ones((len(texels.face), 3), np.float32)
-    shade[eyes.texels] = (eyes.tone * lids_leave(places, vertices, eyes.edges)[:, None]) ** np.float32(1.0 / _GAMMA)
-    return shade
+_KNOWN: Recent[tuple[Eyes | None]] = Recent(2)
 
 
 def lids_leave(points: np.ndarray, vertices: np.ndarray, edges: tuple[_Edge, ...]) -> np.ndarray:
@@ -136,15 +133,15 @@ def polar_angles(head: HeadModel, texels: Texels) -> np.ndarray:
     return angles
 
 
-def _eyes(head: HeadModel, texels: Texels) -> _Eyes:
+def _found(head: HeadModel, texels: Texels) -> Eyes | None:
     angles = polar_angles(head, texels)
     seen = np.flatnonzero(angles < _SEEN)
     edges = lid_edges(head, np.sign(head.v_template[texels.corners[seen, 0], 0]))
     if not edges:
-        seen = seen[:0]
+        return None
     share = ((angles[seen] - LIMBUS[0]) / (LIMBUS[1] - LIMBUS[0])).clip(0.0, 1.0)[:, None]
     tone = (IRIS + (WHITE - IRIS) * share).astype(np.float32)
-    return _Eyes(seen, texels.corners[seen], texels.barycentric[seen].astype(np.float32), tone, edges)
+    return Eyes(len(texels.face), seen, texels.corners[seen], texels.barycentric[seen].astype(np.float32), tone, edges)
 
 
 def _squares(points: np.ndarray, vertices: np.ndarray, edge: _Edge) -> np.ndarray:

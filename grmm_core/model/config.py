@@ -67,6 +67,8 @@ class GRMMConfig:
         turned_light: Colors of a head that its neck turns change as the capture studio's rig lights it (`light.turning`); to be
             off for data in another light. The paper's form has nothing like it.
         eye_shade: Eyes lie in the shade of their lids, which colors do not hold (`light.eye_shade`); likewise.
+        lip_line: The border of the upper lip is redrawn along a smooth line (`model.lip_line`), for weights of a studio that
+            painted it in steps: up to its number 9.
         refine: Whether there is a refinement network.
         refine_channels: Widths of the refinement network's levels, finest first.
         refine_unshuffle: Pixels along a side folded into channels before the first convolution (1 or 2).
@@ -100,6 +102,7 @@ class GRMMConfig:
     hairless: bool = False
     turned_light: bool = True
     eye_shade: bool = True
+    lip_line: bool = True
     refine: bool = True
     refine_channels: tuple[int, ...] = (32, 64, 128)
     refine_unshuffle: int = 1
@@ -184,18 +187,18 @@ def _check_type(name: str, annotation: str, value: Any) -> None:
 
 
 PRESETS: dict[str, GRMMConfig] = {
-    "paper": GRMMConfig(turned_light=False, eye_shade=False),
+    "paper": GRMMConfig(turned_light=False, eye_shade=False, lip_line=False),
     # the paper's sizes with the two extensions that gave the largest gains, and clamped scales
     "base": GRMMConfig(
         name="base", grid=512, features=32, z_id=256, z_exp=128, mesh_hidden=128, mesh_rank=64,
         decoder_channels=(256, 128, 64, 48, 32), decoder_grid=256, mean_maps=True, basis_maps=32,
-        position_unit_mm=10.0, scale_log_limit=1.6, refine_channels=(32, 64, 64), refine_unshuffle=2,
+        position_unit_mm=10.0, scale_log_limit=1.6, refine_channels=(32, 64, 64), refine_unshuffle=2, lip_line=False,
     ),
     # trained and rendered on a CPU
     "small": GRMMConfig(
         name="small", grid=256, features=13, z_id=64, z_exp=32, mesh_hidden=64, mesh_rank=24,
         decoder_start=4, decoder_channels=(128, 128, 64, 48, 24), decoder_grid=128, mean_maps=True, basis_maps=24,
-        position_unit_mm=10.0, scale_log_limit=1.6, refine_channels=(16, 32, 48), refine_unshuffle=2,
+        position_unit_mm=10.0, scale_log_limit=1.6, refine_channels=(16, 32, 48), refine_unshuffle=2, lip_line=False,
     ),
     "tiny": GRMMConfig(
         name="tiny", grid=32, features=4, z_id=6, z_exp=5, mesh_hidden=12, mesh_rank=6,

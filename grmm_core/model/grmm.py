@@ -25,7 +25,7 @@ from ..geometry.camera import Camera
 from ..geometry.libraries import to_numpy
 from ..geometry.tensor_rotations import euler_to_rotvec
 from ..head.torch_head import TorchHead
-from ..light.eye_shade import eye_shade
+from ..light.eye_shade import Eyes, eyes_of
 from ..light.resting import Texels
 from ..light.turning import turned_shade
 from ..splat import Gaussians, RasterOutput, rasterize
@@ -34,6 +34,7 @@ from .decoders import AttributeDecoders
 from .focus import focused_uv
 from .inputs import InputSpace, ModelInputs, expression_code, identity_code
 from .layout import TexelLayout, texel_layout
+from .lip_line import LipLine, lip_line, redrawn
 from .mesh_decoder import MeshDecoder
 from .refine import RefinementNetwork
 from .steps import HEAD_CENTRE, Geometry, Mesh, Rest, face_mask
@@ -263,7 +264,14 @@ class GRMM(nn.Module):
 
     def appearance(self, z_id: Tensor, view: Tensor) -> tuple[Tensor, Tensor]:
         """Phi_app: display sRGB [..., N, 3] and features [..., N, F] from z_id [..., Z] and unit view directions [..., 3]."""
-        return self.decoders.colors(z_id, view)
+        colors, features = self.decoders.colors(z_id, view)
+        return redrawn(colors, self.lip_line), redrawn(features, self.lip_line)
+
+    @functools.cached_property
+    def lip_line(self) -> LipLine[Tensor] | None:
+        """How the border of the upper lip is redrawn; None for models without `lip_line`."""
+        line = lip_line(self.head_model, self.layout) if self.config.lip_line else None
+        return None if line is None else LipLine(*(torch.as_tensor(array, device=self.device) for array in line))
 
     def expression_colors(self, z_id: Tensor, z_exp: Tensor) -> Tensor:
         """What z_exp adds to the colors of z_id: wrinkles and blood, display sRGB, [..., N, 3] or a row of zeros."""
@@ -302,8 +310,14 @@ class GRMM(nn.Module):
 
     def eye_shade(self, vertices: Tensor) -> Tensor | None:
         """What lids leave of the colors of eyes, [N, 3], of posed vertices [V, 3]; None for models without `eye_shade`."""
-        shade = eye_shade(self.head_model, self.lit_texels, to_numpy(vertices)) if self.config.eye_shade else None
-        return None if shade is None else torch.as_tensor(shade, dtype=self.dtype, device=self.device)
+        if self.eyes is None:
+            return None
+        return torch.as_tensor(self.eyes.shade(to_numpy(vertices)), dtype=self.dtype, device=self.device)
+
+    @functools.cached_property
+    def eyes(self) -> Eyes | None:
+        """The texels that lie in the shade of lids; None for models without `eye_shade`."""
+        return eyes_of(self.head_model, self.lit_texels) if self.config.eye_shade else None
 
     @functools.cached_property
     def lit_texels(self) -> Texels:

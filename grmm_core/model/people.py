@@ -10,8 +10,10 @@ import numpy as np
 from ..avatar import AssetReference, Avatar, Provenance
 from ..avatar.types import MADE_BY, SHAPE_SIZE
 from ..errors import ConfigError
+from ..head.usual_face import rested
 
 if TYPE_CHECKING:
+    from ..head import HeadModel
     from .weights_file import WeightsInfo
 
 NEIGHBOURS = 4  # people whom a drawn person's code is mixed with
@@ -29,7 +31,7 @@ def default_avatar(weights: WeightsInfo, z_exp_size: int) -> Avatar:
     return made_avatar(f"{weights.name.capitalize()} head", weights, z_exp_size, weights.default_z_id, weights.default_shape)
 
 
-def sampled_avatar(weights: WeightsInfo, z_exp_size: int, seed: int, usual: np.ndarray | float) -> Avatar:
+def sampled_avatar(weights: WeightsInfo, z_exp_size: int, seed: int, head: HeadModel | None) -> Avatar:
     """Draw a new person near one of the training people.
 
     Hair styles and beards lie apart in the space of codes: a Gaussian over all people would draw what is between them, ghosts
@@ -41,7 +43,7 @@ def sampled_avatar(weights: WeightsInfo, z_exp_size: int, seed: int, usual: np.n
         weights: What the weights file says.
         z_exp_size: Length of the model's residual expression code.
         seed: Equal seeds give equal people.
-        usual: What people's mean has that the training people's lacks (`head.usual_face.usual_shape`), [S].
+        head: Of the weights, for how people rest (`head.usual_face`); None: shapes as the training people's.
 
     Raises:
         ConfigError: The weights know fewer than two people.
@@ -61,7 +63,7 @@ def sampled_avatar(weights: WeightsInfo, z_exp_size: int, seed: int, usual: np.n
         mix @ table + share * rest * (normal @ (table - table.mean(0)))
         for table, share in ((weights.z_id, CODE_VARIATION), (weights.shapes, 1.0))
     )
-    return made_avatar(f"Sample {seed}", weights, z_exp_size, z_id, shape + usual)
+    return made_avatar(f"Sample {seed}", weights, z_exp_size, z_id, shape if head is None else rested(head, shape))
 
 
 def made_avatar(name: str, weights: WeightsInfo, z_exp_size: int, z_id: np.ndarray, shape: np.ndarray) -> Avatar:

@@ -32,7 +32,7 @@ import numpy as np
 from ..avatar import Avatar
 from ..controls.frame import Controls
 from ..geometry.libraries import to_numpy, zeros
-from ..light.eye_shade import eye_shade
+from ..light.eye_shade import Eyes, eyes_of
 from ..light.resting import Texels
 from ..light.turning import turned_shade
 from ..model.detail import Blocks, texel_blocks, thin_out
@@ -76,6 +76,12 @@ class OpenAvatar:
     def still(self) -> Inputs:
         """What it is drawn from without controls."""
         return self.loaded.space.inputs(self.avatar, Controls())
+
+    @functools.cached_property
+    def eyes(self) -> Eyes | None:
+        """What lies in the shade of lids; None for models without it."""
+        head, layout = self.model.head_model, self.model.layout
+        return eyes_of(head, Texels.of(head, layout.face, layout.barycentric)) if self.model.config.eye_shade else None
 
 
 class Evaluator:
@@ -156,7 +162,7 @@ class Evaluator:
         colors = colors + tint
         shade = None if lit_later or not target.model.config.turned_light else self.turned_shade(target, inputs)
         colors = colors if shade is None else colors * shade
-        shade = self.eye_shade(target, inputs) if target.model.config.eye_shade else None
+        shade = self.eye_shade(target, inputs)
         colors = (colors if shade is None else colors * shade).clip(0.0, 1.0)
         full = Gaussians(*placed, opacities, colors, features)
         return full if lod == 0 else thin_out(full, self.blocks(target, lod), lod)
@@ -173,15 +179,15 @@ class Evaluator:
         return found[0] if found else None
 
     def eye_shade(self, target: OpenAvatar, inputs: Inputs) -> Any:
-        """Return what lids leave of the colors of eyes, [N, 3]; None where no lids have lashes."""
+        """Return what lids leave of the colors of eyes, [N, 3]; None for models without it."""
+        eyes = target.eyes
+        if eyes is None:
+            return None
 
         def make() -> tuple[Any, ...]:
-            head, vertices = target.model.head_model, to_numpy(self.mesh(target, inputs).vertices)
-            shade = eye_shade(head, self.texels(target), vertices)
-            return () if shade is None else (self.engine.array(shade),)
+            return (self.engine.array(eyes.shade(to_numpy(self.mesh(target, inputs).vertices))),)
 
-        found = self.cache.get((target.id, "eye shade", *inputs.mesh_key), make)
-        return found[0] if found else None
+        return self.cache.get((target.id, "eye shade", *inputs.mesh_key), make)[0]
 
     def texels(self, target: OpenAvatar) -> Texels:
         """Return where the Gaussians are on the mesh."""

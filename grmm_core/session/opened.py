@@ -17,7 +17,6 @@ from ..controls.frame import Controls
 from ..errors import SessionError
 from ..geometry.libraries import to_numpy
 from ..hair.packaged import HEAD
-from ..head.usual_face import usual_shape
 from ..model.people import default_avatar, sampled_avatar
 from .carrying import can_carry, in_its_colors, without_changes
 from .engines import Engine
@@ -103,13 +102,14 @@ class OpenAvatars:
         loaded = self._engine.store.default()
         size = loaded.model.z_exp_size
         if key.kind == "sample":
-            made = sampled_avatar(loaded.info, size, int(key.name), usual_shape(loaded.model.head_model))
+            made = sampled_avatar(loaded.info, size, int(key.name), loaded.model.head_model)
         else:
             made = default_avatar(loaded.info, size)
         if key.kind == "sample" and loaded.model.config.hairless and loaded.info.head_name == HEAD:
             bare = OpenAvatar(number, made, loaded, key)
             colors, _ = self._evaluator.appearance(bare, bare.still, FRONT)
-            made = dataclasses.replace(made, hair=random_hair(int(key.name), float(np.median(to_numpy(colors).mean(1)))))
+            skin = float(np.median(to_numpy(colors).mean(1)))
+            made = dataclasses.replace(made, hair=random_hair(int(key.name), skin, made.shape))
         return OpenAvatar(number, made, loaded, key)
 
     def _carried_over(self, avatar: Avatar, path: Path) -> Avatar:

@@ -263,7 +263,7 @@ def test_drawn_people_are_near_one_kind_of_hair_and_shaped_like_everybody():
     codes = rng.normal(size=(60, 8)) + 40.0 * kind[:, None]  # two kinds of hair, far apart
     shapes = rng.normal(size=(60, 4)) * [3.0, 1.0, 0.3, 0.1]
     weights = WeightsInfo("w", "h", "", PRESETS["tiny"], people=tuple(map(str, range(60))), z_id=codes, shapes=shapes)
-    drawn = [sampled_avatar(weights, 5, seed, 0.0) for seed in range(400)]
+    drawn = [sampled_avatar(weights, 5, seed, None) for seed in range(400)]
     along = np.array([avatar.z_id for avatar in drawn]).mean(1) / 40.0
     assert ((np.abs(along) < 0.35) | (np.abs(along - 1.0) < 0.35)).mean() > 0.98
     assert 0.3 < (along > 0.5).mean() < 0.7
@@ -271,6 +271,6 @@ def test_drawn_people_are_near_one_kind_of_hair_and_shaped_like_everybody():
     np.testing.assert_allclose(drawn_shapes[:, :4].std(0), shapes.std(0), rtol=0.2)
     nearest = np.linalg.norm(drawn_shapes[:, None, :4] - shapes[None], axis=2).min(1)
     assert np.median(nearest) > 0.1  # new people
-    again = sampled_avatar(weights, 5, 7, 0.0)
+    again = sampled_avatar(weights, 5, 7, None)
     assert np.array_equal(again.z_id, drawn[7].z_id)
     assert np.array_equal(again.shape, drawn[7].shape)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from grmm_core.head import load_open_head
-from grmm_core.head.usual_face import usual_shape
+from grmm_core.head.usual_face import rested, usual_shape
 
 
 def test_lips_are_thinner_corners_higher_brows_lower_and_what_is_farther_stays():
@@ -37,3 +37,30 @@ def test_heads_of_other_expressions_are_those_of_people():
     head = load_open_head()
     other = replace(head, expression_names=tuple(f"expression{index}" for index in range(100)))
     assert not usual_shape(other).any()
+
+
+def test_lips_that_stand_apart_beside_the_middle_are_brought_together():
+    """Others are left alone; little moves beside the mouth."""
+    head = load_open_head()
+    rng, pairs = np.random.default_rng(3), ((311, 402), (81, 178), (310, 318), (80, 88))
+
+    def gaps(shape):
+        points = head.landmark_positions(head.shaped(shape), 478) * 1e3
+        return np.array([points[above, 1] - points[below, 1] for above, below in pairs])
+
+    usual = usual_shape(head)
+    wide = shut = 0
+    for _ in range(40):
+        drawn = rng.standard_normal(head.shape_count) * 0.7
+        shape = rested(head, drawn)
+        before, after = gaps(drawn + usual) - gaps(usual), gaps(shape) - gaps(usual)
+        if before.mean() > 0.6:
+            wide += 1
+            assert after.mean() < 0.5 * before.mean()
+            moved = np.linalg.norm(head.shaped(shape) - head.shaped(drawn + usual), axis=1) * 1e3
+            assert moved.mean() < 0.3, "millimetres"
+        elif (before < 0.2).all():
+            shut += 1
+            assert after.mean() < 0.3
+    assert wide > 3
+    assert shut > 0

@@ -7,7 +7,7 @@ import numpy as np
 from grmm_core.controls.names import ARKIT_NAMES
 from grmm_core.head import load_open_head
 from grmm_core.light.cornea import EYEBALLS
-from grmm_core.light.eye_shade import IRIS, UPPER, WHITE, eye_shade, polar_angles
+from grmm_core.light.eye_shade import IRIS, UPPER, WHITE, eyes_of, polar_angles
 from grmm_core.light.resting import Texels
 
 
@@ -26,7 +26,7 @@ def posed(head, **controls):
 def test_whites_are_darker_than_they_were_learned_and_darkest_below_the_upper_lid():
     head = load_open_head()
     texels, vertices = texels_of(head), posed(head)
-    shade = eye_shade(head, texels, vertices)
+    shade = eyes_of(head, texels).shade(vertices)
     ball = head.marked(*EYEBALLS)[texels.corners].all(1)
     np.testing.assert_array_equal(shade[~ball], 1.0)
     light = shade.astype(float) ** 2.2
@@ -46,13 +46,13 @@ def test_the_shade_comes_and_goes_with_the_lid():
     head = load_open_head()
     texels = texels_of(head)
     at_rest, falling, wide = (
-        eye_shade(head, texels, posed(head, **{f"{kind}Left": amount, f"{kind}Right": amount}))
+        eyes_of(head, texels).shade(posed(head, **{f"{kind}Left": amount, f"{kind}Right": amount}))
         for kind, amount in (("eyeBlink", 0.0), ("eyeBlink", 0.4), ("eyeWide", 1.0))
     )
     pupils = polar_angles(head, texels) < 10.0
     assert falling[pupils].mean() < at_rest[pupils].mean() - 0.05
     assert wide[pupils].mean() > at_rest[pupils].mean() + 0.01
-    one = eye_shade(head, texels, posed(head, eyeBlinkLeft=0.4))
+    one = eyes_of(head, texels).shade(posed(head, eyeBlinkLeft=0.4))
     left = head.marked("left_eyeball")[texels.corners].all(1)
     np.testing.assert_allclose(one[left], falling[left], atol=1e-6)
     np.testing.assert_allclose(one[~left], at_rest[~left], atol=1e-6)
@@ -63,12 +63,12 @@ def test_it_turns_along_with_the_head():
     texels, pose = texels_of(head), np.zeros((5, 3))
     pose[0] = 0.3, 0.8, -0.2
     pose[1] = 0.2, -0.3, 0.1
-    turned = eye_shade(head, texels, head.vertices(np.zeros(1), np.zeros(1), pose))
-    np.testing.assert_allclose(turned, eye_shade(head, texels, posed(head)), atol=2e-3)
+    turned = eyes_of(head, texels).shade(head.vertices(np.zeros(1), np.zeros(1), pose))
+    np.testing.assert_allclose(turned, eyes_of(head, texels).shade(posed(head)), atol=2e-3)
 
 
 def test_heads_without_lashes_have_none():
     head = load_open_head()
     regions = {name: rows for name, rows in head.regions.items() if name != "lashes"}
     bare = type(head)(**{**{f: getattr(head, f) for f in head.__dataclass_fields__}, "regions": regions})
-    assert eye_shade(bare, texels_of(bare), posed(bare)) is None
+    assert eyes_of(bare, texels_of(bare)) is None

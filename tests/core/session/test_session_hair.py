@@ -19,8 +19,9 @@ from grmm_core.geometry.camera import Camera
 from grmm_core.hair import HairSettings, library_groom
 from grmm_core.hair.drawing import StrandGaussians, nearer
 from grmm_core.hair.ribbons import Eye
-from grmm_core.hair.roots import BROWS
+from grmm_core.hair.roots import BEARD, BROWS
 from grmm_core.hair.strands import StrandBlock
+from grmm_core.head import load_people_model
 from grmm_core.light.parse import lighting_of
 from grmm_core.light.relight import to_linear
 from grmm_core.light.shading import Response
@@ -428,7 +429,29 @@ def test_a_file_saved_without_a_photos_brows_has_none_painted_either(session, tm
 
 
 def test_random_people_with_dark_skin_have_no_fair_hair(session):
-    made = random_hair(12, 0.7).settings
+    made = random_hair(12, 0.7, np.zeros(300)).settings
     assert made.melanin < 0.3  # the seed alone would give blond
     for seed in (12, 16):
         assert session.sample(seed).hair.melanin > 0.8
+
+
+def test_random_men_may_have_beards_and_old_people_have_grey_hair():
+    """By what shapes say: those of the open head's people, of one sex and of two ages."""
+    people = load_people_model()
+
+    def person(**macros):
+        off = np.array([macros.get(name, mean) - mean for name, mean in zip(people.names, people.mean, strict=True)])
+        return off @ people.macro_to_shape
+
+    def of(shape):
+        found = people.macros(shape)
+        hair = [random_hair(seed, 0.7, shape) for seed in range(12)]
+        bearded = np.mean([(made.groom.groups == BEARD).any() for made in hair])
+        return found, bearded, np.mean([made.settings.grey for made in hair])
+
+    man, woman, old = (of(person(**macros)) for macros in ({"female": 0.0}, {"female": 1.0}, {"age": 78.0}))
+    assert man[0]["female"] < 0.2 < 0.8 < woman[0]["female"]
+    assert old[0]["age"] > man[0]["age"] + 12.0
+    assert 0.2 < man[1] < 0.95
+    assert woman[1] == 0.0
+    assert old[2] > man[2] + 0.25

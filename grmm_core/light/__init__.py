@@ -9,7 +9,7 @@
 ``materials``     what skin, lips, eyes and teeth do with light: lobes, wetness, scattering, by texel
 ``lobes``         what surfaces mirror
 ``skin_relief``   pores and furrows in highlights and close-ups; ``skin_relief_kernel`` again, compiled
-``cornea``        the bulge of eyes that glints stand on
+``cornea``        the bulge of eyes that glints stand on, and the studio's catchlight
 ``eye_shade``     whites of eyes, and the shade of lids on them
 ``shading``       irradiance relative to the rig, and highlights, at each Gaussian
 ``hair_shading``  the same for strands

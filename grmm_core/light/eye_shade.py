@@ -13,7 +13,7 @@ import numpy as np
 
 from ..compute.recent import Recent
 from ..head.lash_cards import lash_edges
-from .cornea import EYEBALLS
+from .cornea import EYEBALLS, catchlight
 
 if TYPE_CHECKING:
     from ..head import HeadModel
@@ -62,6 +62,19 @@ class Eyes(NamedTuple):
     weights: np.ndarray
     tone: np.ndarray
     edges: tuple[_Edge, ...]
+
+    def glinting(self, colors: np.ndarray, head: HeadModel, vertices: np.ndarray, view: np.ndarray) -> np.ndarray:
+        """Display colors of the M texels with the studio's catchlight.
+
+        Args:
+            colors: [M, 3].
+            head: Head model.
+            vertices: Posed, [V, 3] metres.
+            view: Unit direction towards the viewer, head space, [3].
+        """
+        glint = catchlight(head, vertices, self.corners, self.weights, view)
+        found: np.ndarray = (colors.clip(0.0, None) ** _GAMMA + glint[:, None]) ** (1.0 / _GAMMA)
+        return found.astype(np.float32)
 
     def shade(self, vertices: np.ndarray) -> np.ndarray:
         """What display colors of the texels are multiplied by, [N, 3] float32, on posed vertices [V, 3], metres."""

@@ -163,7 +163,13 @@ class Evaluator:
         shade = None if lit_later or not target.model.config.turned_light else self.turned_shade(target, inputs)
         colors = colors if shade is None else colors * shade
         shade = self.eye_shade(target, inputs)
-        colors = (colors if shade is None else colors * shade).clip(0.0, 1.0)
+        colors = colors if shade is None else colors * shade
+        if target.eyes is not None and not lit_later:
+            rows, vertices = target.eyes.texels, to_numpy(self.mesh(target, inputs).vertices)
+            colors[rows] = self.engine.array(
+                target.eyes.glinting(to_numpy(colors[rows]), target.model.head_model, vertices, direction)
+            )
+        colors = colors.clip(0.0, 1.0)
         full = Gaussians(*placed, opacities, colors, features)
         return full if lod == 0 else thin_out(full, self.blocks(target, lod), lod)
 

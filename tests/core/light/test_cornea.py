@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from grmm_core.head import load_open_head
-from grmm_core.light.cornea import bulged
+from grmm_core.light.cornea import EYEBALLS, bulged, catchlight
 from grmm_core.light.transfer import vertex_normals
 
 
@@ -49,3 +49,29 @@ def test_the_cornea_turns_with_the_eye(head):
     posed[eye] = (rest[eye] - middle) @ turn.T + middle
     still, moved = normals_of(head, rest)[1], normals_of(head, posed)[1]
     np.testing.assert_allclose(moved[eye], still[eye] @ turn.T, atol=1e-5)
+
+
+def test_the_catchlight_stands_on_the_iris_toward_the_lamp_and_moves_with_the_viewer(head):
+    vertices = np.asarray(head.v_template, float)
+    corners = head.faces[head.marked(*EYEBALLS)[head.faces].all(1)]
+    # four points on each face: spots are narrower than faces
+    weights = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / [[3], [6], [6], [6]]
+    corners, weights = np.repeat(corners, 4, 0), np.tile(weights, (len(corners), 1))
+    places = np.einsum("nk,nkx->nx", weights, vertices[corners])
+
+    def spots(*view):
+        glint = catchlight(head, vertices, corners, weights, np.array(view) / np.linalg.norm(view))
+        return glint, [
+            (glint[own, None] * places[own]).sum(0) / glint[own].sum() for own in (places[:, 0] > 0, places[:, 0] < 0)
+        ]
+
+    glint, ahead = spots(0.0, 0.0, 1.0)
+    assert glint.max() > 0.8
+    assert (glint > 0.1).mean() < 0.03
+    _, aside = spots(0.5, 0.0, 1.0)
+    for name, here, there in zip(EYEBALLS, ahead, aside, strict=True):
+        ball = vertices[head.regions[name]]
+        pole = ball[ball[:, 2].argmax()]
+        assert 0.001 < here[0] - pole[0] < 0.004, "the rig's key lamp stands to the person's left, and above"
+        assert 0.0005 < here[1] - pole[1] < 0.004
+        assert there[0] > here[0] + 0.001

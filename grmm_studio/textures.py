@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from grmm_core.head import HeadModel
 from grmm_core.head.lash_cards import lash_edges
-from grmm_core.head.lip_border import upper_lip, whole_lips
+from grmm_core.head.lip_border import lip_borders
 from grmm_core.wrinkles.lines import paint_lines
 from grmm_core.wrinkles.noise import bump, smoothstep
 
@@ -26,7 +26,7 @@ from .mesh import region_vertices
 from .subjects import Subject, skin_albedo
 
 LATTICE = 64  # cells of the periodic noise lattice
-LIP_BORDER, LIP_EDGE = (0.0025, 0.0040), 0.0012  # metres about it where lips end as it does, and within which they do
+LIP_BORDER, LIP_EDGE = (0.0026, 0.0034), 0.0012  # metres about it where lips end as it does, and within which they do
 
 
 @dataclass
@@ -73,10 +73,9 @@ class Atlas:
         bary = weights[covered]
         rest = (np.asarray(head.v_template, float)[corners] * bary[..., None]).sum(1)
         masks = {}
-        for name, flags in (("lips", whole_lips(head)), ("mouth_interior", head.marked("mouth_interior"))):
-            masks[name] = (flags[corners] * bary).sum(1)
-        border = upper_lip(head)
-        if border is not None:
+        for name in ("lips", "mouth_interior"):
+            masks[name] = (head.marked(name).astype(float)[corners] * bary).sum(1)
+        for border in lip_borders(head):
             near = border.near(rest, *LIP_BORDER)
             masks["lips"] += near * (border.share(rest, LIP_EDGE) - masks["lips"])
         index = np.full((size, size), -1)

@@ -1,7 +1,7 @@
-"""The border of the upper lip as one smooth line. Needs numpy only.
+"""Where lips end, as smooth lines through the landmarks of their borders. Needs numpy only.
 
-The open head's region of lips has a gap of one vertex on either side of its middle, and interpolated over faces its border
-goes in steps. Who paints lips takes them from here.
+The open head's region of lips is no border of theirs: it lies up to 1.6 mm outside, has no bow in the middle, and lacks a
+vertex on either side of it. Who paints lips takes their borders from here; landmarks of photos lie on them as well.
 """
 
 from __future__ import annotations
@@ -12,28 +12,32 @@ import numpy as np
 
 from .head_model import HeadModel
 
-_SURROUNDED = 0.6  # share of a vertex's neighbours that are lips, from which on it is one
-_SMOOTH = 0.0012  # metres along the border within which it is a mean
+# MediaPipe's landmarks along the upper border of the upper lip and the lower one of the lower lip
+_UPPER = (61, 185, 40, 39, 37, 0, 267, 269, 270, 409, 291)
+_LOWER = (61, 146, 91, 181, 84, 17, 314, 405, 321, 375, 291)
+_SMOOTH = 0.0016  # metres along the border within which it is a mean
 _NODES = 81
-_CORNERS = 0.80, 0.94  # of the half width of the lip: between them the border fades
+_CORNERS = 0.76, 0.92  # of the half width of the mouth: between them the border fades
 _DEEP = 0.006  # metres behind it, where no lip is seen
 
 
-class UpperLip(NamedTuple):
-    """The border between the upper lip and the skin above, on the template, from the person's right to the left.
+class LipBorder(NamedTuple):
+    """The border between a lip and the skin beyond, on the template, from the person's right to the left.
 
     Attributes:
         points: [K, 3] metres, evenly along x.
+        up: 1 where the skin is above, -1 where it is below.
     """
 
     points: np.ndarray
+    up: float
 
     def beyond(self, places: np.ndarray) -> np.ndarray:
-        """Metres by which places [N, 3] lie above the border, [N]; below 0 on the lip."""
+        """Metres by which places [N, 3] lie beyond the border, [N]; below 0 on the lip."""
         x = self.points[:, 0]
         slope = np.gradient(self.points[:, 1], x)
         above = places[:, 1] - np.interp(places[:, 0], x, self.points[:, 1])
-        found: np.ndarray = above / np.sqrt(1.0 + np.interp(places[:, 0], x, slope) ** 2)
+        found: np.ndarray = self.up * above / np.sqrt(1.0 + np.interp(places[:, 0], x, slope) ** 2)
         return found
 
     def share(self, places: np.ndarray, edge: float) -> np.ndarray:
@@ -44,39 +48,27 @@ class UpperLip(NamedTuple):
     def near(self, places: np.ndarray, whole: float, nothing: float) -> np.ndarray:
         """Whether places [N, 3] are about the border, [N]: 1 within one distance, 0 from another on, in corners and inside."""
         apart, aside = np.abs(self.beyond(places)), np.abs(places[:, 0]) / self.points[-1, 0]
-        found: np.ndarray = _falls(apart, whole, nothing) * _falls(aside, *_CORNERS) * (np.abs(self.behind(places)) < _DEEP)
-        return found
-
-    def behind(self, places: np.ndarray) -> np.ndarray:
-        """Metres by which places [N, 3] lie behind the border, [N]."""
-        found: np.ndarray = np.interp(places[:, 0], self.points[:, 0], self.points[:, 2]) - places[:, 2]
+        behind = np.interp(places[:, 0], self.points[:, 0], self.points[:, 2]) - places[:, 2]
+        found: np.ndarray = _falls(apart, whole, nothing) * _falls(aside, *_CORNERS) * (np.abs(behind) < _DEEP)
         return found
 
 
-def whole_lips(head: HeadModel) -> np.ndarray:
-    """Which vertices are lips, with those that lips surround, [V] bool."""
-    lips, count = head.marked("lips"), len(head.v_template)
-    edges = np.unique(np.sort(head.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), 1), axis=0)
-    both, other = edges.T.ravel(), edges[:, ::-1].T.ravel()
-    share = np.bincount(both, lips[other], count) / np.maximum(np.bincount(both, minlength=count), 1)
-    found: np.ndarray = lips | (share > _SURROUNDED) & ~head.marked("mouth_interior")
-    return found
+def lip_borders(head: HeadModel) -> tuple[LipBorder, ...]:
+    """The borders of the upper and the lower lip, alike on both sides; none on heads without landmarks of them."""
+    if head.landmarks478 is None:
+        return ()
+    marks = head.landmark_positions(head.v_template, 478).astype(float)
+    return LipBorder(_along(marks[list(_UPPER)]), 1.0), LipBorder(_along(marks[list(_LOWER)]), -1.0)
 
 
-def upper_lip(head: HeadModel) -> UpperLip | None:
-    """The border of the upper lip, as on both sides in the mean; None on heads without lips."""
-    inside, lining = whole_lips(head), head.marked("mouth_interior")
-    edges = np.unique(np.sort(head.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), 1), axis=0)
-    edges = edges[(inside[edges].sum(1) == 1) & ~lining[edges].any(1)]
-    if not len(edges):
-        return None
-    border = head.v_template[edges].mean(1)
-    border = border[border[:, 1] > border[:, 1].mean()]
-    border = np.concatenate([border, border * (-1.0, 1.0, 1.0)])
-    x = np.linspace(border[:, 0].min(), border[:, 0].max(), _NODES)
-    near = np.exp(-0.5 * ((x[:, None] - border[:, 0]) / _SMOOTH) ** 2)
-    points = near @ border / near.sum(1, keepdims=True)
-    return UpperLip(np.stack([x, points[:, 1], points[:, 2]], 1))
+def _along(marks: np.ndarray) -> np.ndarray:
+    """A smooth line [K, 3] through landmarks [L, 3], from the person's right to the left, and their mirror images."""
+    both = 0.5 * (marks + marks[::-1] * (-1.0, 1.0, 1.0))
+    x = np.linspace(both[0, 0], both[-1, 0], _NODES)
+    line = np.stack([x, *(np.interp(x, both[:, 0], both[:, k]) for k in (1, 2))], 1)
+    near = np.exp(-0.5 * ((x[:, None] - x) / _SMOOTH) ** 2)
+    line[:, 1:] = near @ line[:, 1:] / near.sum(1, keepdims=True)
+    return line
 
 
 def _falls(values: np.ndarray, whole: float, nothing: float) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The border of the upper lip, and colors redrawn along it."""
+"""The borders of lips, and colors redrawn along them."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from grmm_core.head import load_open_head
-from grmm_core.head.lip_border import upper_lip, whole_lips
+from grmm_core.head.lip_border import lip_borders
 from grmm_core.model.layout import texel_layout
 from grmm_core.model.lip_line import lip_line, redrawn
 
 
 @pytest.fixture(scope="module")
 def painted():
-    """A layout, the places of its texels on the template, and lips painted in steps: by the vertex that is nearest."""
+    """A layout, the places of its texels on the template, and lips painted by the vertex that is nearest."""
     head = load_open_head()
     layout = texel_layout(head.uv, head.uv_faces, 512)
     corners = head.faces[layout.face]
@@ -23,32 +23,35 @@ def painted():
     return head, layout, places, colors
 
 
-def test_lips_are_one_piece_and_their_border_is_alike_on_both_sides():
+def test_borders_go_through_the_landmarks_and_are_alike_on_both_sides():
     head = load_open_head()
-    added = head.v_template[whole_lips(head) & ~head.marked("lips")]
-    assert len(added) == 2
-    border = upper_lip(head)
-    np.testing.assert_allclose(border.points * (-1, 1, 1), border.points[::-1], atol=1e-4)
-    middle = np.abs(border.points[:, 0]) < 0.012
-    assert np.ptp(border.points[middle, 1]) < 0.0015  # without the gaps, which are as deep as that
-    np.testing.assert_allclose(border.beyond(border.points + np.array([0.0, 0.001, 0.0]))[20:-20], 0.001, rtol=0.2)
+    upper, lower = lip_borders(head)
+    marks = head.landmark_positions(head.v_template, 478).astype(float)
+    for border, own, middle in ((upper, [40, 37, 0, 267, 270], 0), (lower, [91, 84, 17, 314, 321], 17)):
+        np.testing.assert_allclose(border.points * (-1, 1, 1), border.points[::-1], atol=1e-6)
+        assert np.abs(border.beyond(marks[own])).max() < 8e-4, "metres; landmarks are not alike on both sides"
+        beyond = border.beyond(marks[[middle]] + [0.0, border.up * 0.002, 0.0])
+        np.testing.assert_allclose(beyond, 0.002, atol=5e-4)
+    bow = upper.points[40, 1] - upper.points[np.abs(upper.points[:, 0] - 0.007).argmin(), 1]
+    assert -0.002 < bow < -0.0005
 
 
-def test_steps_become_a_smooth_line_and_all_else_stays(painted):
+def test_painted_regions_become_lips_with_borders_and_all_else_stays(painted):
     head, layout, places, colors = painted
-    line = lip_line(head, layout)
+    line, (upper, lower) = lip_line(head, layout), lip_borders(head)
     np.testing.assert_allclose(line.kept[:, 0] + line.weights.sum((1, 2)), 1.0, atol=1e-5)
-    drawn, border = redrawn(colors, line), upper_lip(head)
+    drawn = redrawn(colors, line)
     others = np.setdiff1d(np.arange(len(colors)), line.rows)
     np.testing.assert_array_equal(drawn[others], colors[others])
-    assert (np.abs(places[line.rows, 0]) < 0.022).all()
-    beyond = border.beyond(places)
+    assert (np.abs(places[line.rows, 0]) < 0.023).all()
     redness = (0.7 - np.stack([colors, drawn])[..., 1]) / 0.3  # 1 on lips
-    rows = line.rows[(line.kept[:, 0] == 0.0) & (np.abs(places[line.rows, 0]) < 0.014)]
-    wrong = np.abs(redness[:, rows] - (beyond[rows] < 0.0))
-    clear = np.abs(beyond[rows]) > 0.0009
-    assert wrong[0, clear].mean() > 0.03, "steps"
-    assert wrong[1, clear].max() < 0.02
+    for border in (upper, lower):
+        beyond = border.beyond(places)
+        whole = line.rows[(line.kept[:, 0] < 1e-3) & (np.abs(places[line.rows, 0]) < 0.014)]
+        rows = whole[(np.abs(beyond[whole]) > 0.0009) & (np.abs(beyond[whole]) < 0.0024)]
+        wrong = np.abs(redness[:, rows] - (beyond[rows] < 0.0))
+        assert wrong[0].mean() > 0.03, "the region reaches beyond"
+        assert wrong[1].mean() < 0.02
 
 
 def test_tensors_are_redrawn_like_arrays(painted):

@@ -43,7 +43,7 @@ RIM = (0.006, 0.015)  # metres from an open edge: nearer than the first one what
 NEAR = 0.02  # metres: over what distance the skin's color is smoothed
 SAMPLES = 1200  # texels of skin from which it is taken
 # of the brightness of skin that is not laid flat: what dense strands over it take
-SHADED = {SCALP: 0.3, BROWS: 0.25, BEARDS: 0.5}
+SHADED = {SCALP: 0.3, BROWS: 0.42, BEARDS: 0.5}
 SHADING = 5  # layers of `hair.cover` over skin in which strands shade it: curls that stand before a forehead do not
 DISPLAYED = 1.0 / 2.2  # power that makes a share of light one of a display color
 UNDER = 0.9  # how much of the hair's color the skin under dense hair takes on

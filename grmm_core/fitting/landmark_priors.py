@@ -72,6 +72,8 @@ _ARKIT_SIGMAS = {
 # shapes were too short, and their mouths too narrow, by as much.
 _SHAPE_SIGMA, _SHAPE_SLOPE = 0.05, 0.3
 _BY_LANDMARKS = ("eye", "brow")  # of these landmarks tell more than the network
+# In smiles of photos the lower lip is unrolled by so much of the smile: the model's thins it by a fifth, people's do not.
+_UNROLLED, _UNROLLS = "mouthRollLower", 0.5
 _EXTRA_SIGMA = 0.05  # components beside the ARKit shapes: they repeat these, and animators have no slider for them
 _STATISTICAL_SIGMA = 0.7  # heads whose components are standard deviations (FLAME)
 _HIGH = 1.1
@@ -198,6 +200,20 @@ def make_priors(head: HeadModel, arkit: np.ndarray, focal: float | None, width: 
         mean, sigma, low, high, pose_mean, pose_sigma,
         float(np.log(usual if focal is None else focal)), _FOCAL_SIGMA if focal is None else _STATED_FOCAL_SIGMA,
     )  # fmt: skip
+
+
+def photo_priors(head: HeadModel, priors: Priors) -> Priors:
+    """Priors of `make_priors` for a photo, whose expression need not be one of sliders: lower lips unroll as far as it smiles.
+
+    Heads whose components are not the ARKit shapes keep theirs.
+    """
+    names = head.expression_names
+    if _UNROLLED not in names:
+        return priors
+    mean, low, row = priors.expression_mean.copy(), priors.expression_low.copy(), names.index(_UNROLLED)
+    mean[row] -= _UNROLLS * mean[[names.index(f"mouthSmile{side}") for side in ("Left", "Right")]].mean()
+    low[row] = -_UNROLLS * _HIGH
+    return replace(priors, expression_mean=mean, expression_low=low)
 
 
 def shape_priors(head: HeadModel, priors: Priors, arkit: np.ndarray) -> Priors:

@@ -16,7 +16,16 @@ from ..geometry.camera import Camera
 from ..head.head_model import JOINT_COUNT
 from ..head.usual_face import usual_shape
 from ..photo.landmarks import EYE_CORNERS, HeadLandmarks
-from .landmark_priors import PLACED_SHARE, VIEW_NOISE, View, landmark_modes, landmark_sigmas, make_priors, shape_priors
+from .landmark_priors import (
+    PLACED_SHARE,
+    VIEW_NOISE,
+    View,
+    landmark_modes,
+    landmark_sigmas,
+    make_priors,
+    photo_priors,
+    shape_priors,
+)
 from .point_rig import LandmarkRig
 from .solver import PhotoProblem, Problem, Solution, Term, camera_of, project, solve
 from .types import LANDMARK_COUNT, PhotoTrack
@@ -132,7 +141,7 @@ def restarted(tracks: Sequence[PhotoTrack], rig: LandmarkRig) -> LandmarkFit:
             )
         )  # fmt: skip
         units.append(_eye_distance(rest) / np.exp(magnification))
-        prior = make_priors(rig.head, track.arkit, camera.fx, camera.width, camera.height)
+        prior = photo_priors(rig.head, make_priors(rig.head, track.arkit, camera.fx, camera.width, camera.height))
         term = Term(rig, track.landmarks / scale + origin, np.ones(LANDMARK_COUNT))
         shape_prior = shape_priors(rig.head, prior, track.arkit)
         photos.append(PhotoProblem(camera.width, camera.height, shape_prior, (term,), term, prior))
@@ -226,7 +235,7 @@ def _start(observations: Sequence[Observation], rig: LandmarkRig) -> tuple[Probl
     center = mean.mean(0)
     photos, units, views = [], [], []
     for item in observations:
-        prior = make_priors(rig.head, item.arkit, item.focal, item.width, item.height)
+        prior = photo_priors(rig.head, make_priors(rig.head, item.arkit, item.focal, item.width, item.height))
         model = rig.positions(shape, prior.expression_mean, prior.pose_mean)
         rotation, offset, magnification = seen_pose(model - center, item)
         # depth over focal length is 1 / scale; the priors of distance and focal length split the product

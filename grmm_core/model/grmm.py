@@ -271,7 +271,8 @@ class GRMM(nn.Module):
     def lip_line(self) -> LipLine[Tensor] | None:
         """How the border of the upper lip is redrawn; None for models without `lip_line`."""
         line = lip_line(self.head_model, self.layout) if self.config.lip_line else None
-        return None if line is None else LipLine(*(torch.as_tensor(array, device=self.device) for array in line))
+        with torch.inference_mode(False):  # a session may ask first, and a fit of the same model needs gradients later
+            return None if line is None else LipLine(*(torch.as_tensor(array, device=self.device) for array in line))
 
     def expression_colors(self, z_id: Tensor, z_exp: Tensor) -> Tensor:
         """What z_exp adds to the colors of z_id: wrinkles and blood, display sRGB, [..., N, 3] or a row of zeros."""

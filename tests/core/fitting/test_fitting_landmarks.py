@@ -210,12 +210,16 @@ def test_a_mouth_that_is_seen_smiling_rests_as_peoples_do(rig, monkeypatch):
 
     shape = usual_shape(rig.head)
     smile = expression(mouthSmileLeft=0.7, mouthSmileRight=0.7, mouthUpperUpLeft=0.3, mouthUpperUpRight=0.3)
+    smile[ARKIT_NAMES.index("mouthRollLower")] = -0.35  # people's lower lips stay as thick as they are, the model's do not
     seen = observe(rig, shape, smile, Camera.orbit(SIZE, SIZE, yaw=6.0, distance=1.2))
     usual = mouth(fit_landmarks([seen], rig).shape)
     monkeypatch.setattr(landmark_stage, "usual_shape", lambda head: np.zeros(head.shape_count))
     pouting = mouth(fit_landmarks([seen], rig).shape)
     assert np.abs(usual - mouth(shape)).max() < 0.2
     assert (pouting - mouth(shape) > [0.3, 0.7]).all()
+    monkeypatch.undo()
+    monkeypatch.setattr(landmark_stage, "photo_priors", lambda head, priors: priors)
+    assert mouth(fit_landmarks([seen], rig).shape)[1] - mouth(shape)[1] > 0.3, "without it a lip is thick at rest"
 
 
 def test_wrong_landmarks_do_little_harm(head, rig):
@@ -283,7 +287,9 @@ def test_expressions_stay_in_their_range(rig):
     observation = observe(rig, person(1), expression(jawOpen=1.0, mouthPucker=1.0), Camera.orbit(SIZE, SIZE), noise=12.0)
     fit = fit_landmarks([replace(observation, arkit=g.uniform(0, 1, 52))], rig)
     coefficients = fit.views[0].expression[:52]
-    assert coefficients.min() >= 0.0
+    rolled = coefficients[ARKIT_NAMES.index("mouthRollLower")]
+    assert -0.55 <= rolled, "lower lips unroll in smiles"
+    assert np.delete(coefficients, ARKIT_NAMES.index("mouthRollLower")).min() >= 0.0
     assert coefficients.max() <= 1.1
 
 

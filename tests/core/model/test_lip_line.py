@@ -9,6 +9,7 @@ from grmm_core.head import load_open_head
 from grmm_core.head.lip_border import lip_borders
 from grmm_core.model.layout import texel_layout
 from grmm_core.model.lip_line import lip_line, redrawn
+from grmm_core.session import make_local_session
 
 
 @pytest.fixture(scope="module")
@@ -66,3 +67,15 @@ def test_tensors_are_redrawn_like_arrays(painted):
     )
     (gradient,) = torch.autograd.grad(drawn.sum(), values)
     np.testing.assert_allclose(gradient.sum().item(), values.numel(), rtol=1e-4)
+
+
+def test_a_model_that_a_session_has_drawn_can_still_be_fitted():
+    torch = pytest.importorskip("torch")
+    with make_local_session(engine="torch") as session:
+        model = session.engine.store.default().model
+        view = torch.tensor([0.0, 0.0, 1.0])
+        with torch.inference_mode():
+            model.appearance(torch.zeros(model.z_id_size), view)
+        code = torch.zeros(model.z_id_size, requires_grad=True)
+        model.appearance(code, view)[0].sum().backward()
+        assert float(code.grad.abs().max()) > 0.0

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from ..head import HeadModel
 
 _KEY = np.array([0.45, 0.32, 0.834])  # towards the rig's first lamp (`lamps.STUDIO`), unit
-_CATCH, _CATCH_WIDTH = 1.5, 0.085  # linear brightness of its glint in the middle, and how far normals turn within it, radians
+_CATCH, _CATCH_WIDTH = 1.8, 0.06  # linear brightness of its glint in the middle, and how far normals turn within it, radians
 EYEBALLS = ("left_eyeball", "right_eyeball")
 _STEEPER = 0.54  # by how much more its normals turn: radii of 12 and 7.8 mm (Gullstrand's eye)
 _EDGE, _END = 0.42, 0.66  # radians from the pole up to which the bulge is whole, and where the ball begins

@@ -2,7 +2,7 @@
 
 ``head_model``  `HeadModel`, FLAME's format as numpy arrays; needs numpy only
 ``closing``     how far blinks and lips of a person must go to shut; ``usual_face``: lips, mouths, brows of people at rest
-``lash_cards``  the strips that stand for lashes, and so the edges of lids
+``lash_cards``  the strips that stand for lashes, and so the edges of lids; ``lip_border``: where lips end
 ``skinning``    linear blend skinning as pure functions, for numpy and torch
 ``open_head``   the project's own head and its relation to age, gender, ethnicity and weight
 ``flame``       a user's FLAME file completed to a `HeadModel`; its parts are ``flame_file`` (reading without executing),

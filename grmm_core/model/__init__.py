@@ -17,10 +17,11 @@ The map:
 ``weights``       a model out of such a file, and back
 ``store``         weights in memory, with the changes of single avatars; ``torch_loader`` loads them for torch
 ``renewed``       an avatar's changes where later weights draw a region anew
+``lip_line``      the borders of lips in colors of weights that have them elsewhere
 ``people``        avatars that weights know, or that are drawn from them
 ``portrait``      the portrait camera, portraits and thumbnails
 
-`config`, `parameters`, `inputs`, `layout`, `steps`, `detail`, `weights_file`, `store`, `people` and `portrait` are
+`config`, `parameters`, `inputs`, `layout`, `steps`, `lip_line`, `detail`, `weights_file`, `store`, `people` and `portrait` are
 imported without torch. Used by `inference`, `session`, `training`, `fitting` and `evaluation`. `docs/equations.md` lists which
 function holds which equation of the paper.
 """

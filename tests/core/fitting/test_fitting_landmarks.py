@@ -288,7 +288,7 @@ def test_expressions_stay_in_their_range(rig):
     fit = fit_landmarks([replace(observation, arkit=g.uniform(0, 1, 52))], rig)
     coefficients = fit.views[0].expression[:52]
     rolled = coefficients[ARKIT_NAMES.index("mouthRollLower")]
-    assert -0.55 <= rolled, "lower lips unroll in smiles"
+    assert rolled >= -0.55, "lower lips unroll in smiles"
     assert np.delete(coefficients, ARKIT_NAMES.index("mouthRollLower")).min() >= 0.0
     assert coefficients.max() <= 1.1
 

@@ -67,8 +67,8 @@ class GRMMConfig:
         turned_light: Colors of a head that its neck turns change as the capture studio's rig lights it (`light.turning`); to be
             off for data in another light. The paper's form has nothing like it.
         eye_shade: Eyes lie in the shade of their lids, which colors do not hold (`light.eye_shade`); likewise.
-        lip_line: The border of the upper lip is redrawn along a smooth line (`model.lip_line`), for weights of a studio that
-            painted it in steps: up to its number 9.
+        lip_line: The borders of lips are redrawn along smooth lines (`model.lip_line`), for weights of a studio that painted
+            them elsewhere: up to its number 9.
         refine: Whether there is a refinement network.
         refine_channels: Widths of the refinement network's levels, finest first.
         refine_unshuffle: Pixels along a side folded into channels before the first convolution (1 or 2).

@@ -269,7 +269,7 @@ class GRMM(nn.Module):
 
     @functools.cached_property
     def lip_line(self) -> LipLine[Tensor] | None:
-        """How the border of the upper lip is redrawn; None for models without `lip_line`."""
+        """How the borders of lips are redrawn; None for models without `lip_line`."""
         line = lip_line(self.head_model, self.layout) if self.config.lip_line else None
         with torch.inference_mode(False):  # a session may ask first, and a fit of the same model needs gradients later
             return None if line is None else LipLine(*(torch.as_tensor(array, device=self.device) for array in line))

@@ -1,7 +1,7 @@
 """The bulge of the cornea, which the eyeballs of head models, plain balls, do not have: glints of lamps stand on it.
 
 Lamps of a scene have theirs by `shading`. The studio's are too wide to be seen in its pictures, and eyes without any glint look
-dead: there each eye gets one, where its key lamp stands. Needs numpy only.
+dead: in pictures each eye gets one, about where its key lamp stands. Needs numpy only.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 if TYPE_CHECKING:
     from ..head import HeadModel
 
-_KEY = np.array([0.45, 0.32, 0.834])  # towards the rig's first lamp (`lamps.STUDIO`), unit
+_KEY = np.array([0.45, 0.32, 0.834])  # towards the catchlight's lamp, unit: ten degrees below the rig's first, under no lid
 _CATCH, _CATCH_WIDTH = 1.8, 0.06  # linear brightness of its glint in the middle, and how far normals turn within it, radians
 EYEBALLS = ("left_eyeball", "right_eyeball")
 _STEEPER = 0.54  # by how much more its normals turn: radii of 12 and 7.8 mm (Gullstrand's eye)
@@ -61,7 +61,7 @@ def bulged(head: HeadModel, vertices: np.ndarray, corners: np.ndarray, normals: 
 def catchlight(
     head: HeadModel, vertices: np.ndarray, corners: np.ndarray, weights: np.ndarray, view: np.ndarray
 ) -> np.ndarray:  # fmt: skip
-    """What the studio's key lamp adds to the linear brightness of points on eyeballs, [N].
+    """What the catchlight adds to the linear brightness of points on eyeballs, [N].
 
     Args:
         head: Head model.

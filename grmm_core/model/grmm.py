@@ -4,7 +4,7 @@
 
 The steps are separate methods, so that callers compute only what changed: opacity is constant per avatar, appearance per
 avatar and view, offsets per expression, geometry per pose. `render` composes all of them. Training, fitting, evaluation,
-benchmark, portraits and sessions draw with these steps and no others.
+benchmark, portraits and sessions draw with these steps; what sessions add (strands, light, furrows, catchlights) is theirs.
 
 Batches as in `inputs`: [..., K] with any leading dimensions, up to the rasteriser.
 """

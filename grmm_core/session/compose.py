@@ -247,7 +247,7 @@ def _gaussians(
             strands = wardrobe.gaussians(
                 evaluator, item.target, item.inputs, item.worn, local_camera, options.lod, options.strands, hiding=hiding
             )
-        own = evaluator.gaussians(item.target, item.inputs, direction, options.lod, cap, lit)
+        own = evaluator.gaussians(item.target, item.inputs, direction, options.lod, cap, lit, not lit)
         own = without_inside(own, evaluator, item.target, item.inputs, options.lod, local_camera)
     count = len(own)
     features = own.features

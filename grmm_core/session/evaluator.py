@@ -146,9 +146,11 @@ class Evaluator:
 
     def gaussians(
         self, target: OpenAvatar, inputs: Inputs, direction: np.ndarray, lod: int = 0, cap: Cap | None = None,
-        lit_later: bool = False,
+        lit_later: bool = False, catchlight: bool = False,
     ) -> Gaussians:  # fmt: skip
         """Return all Gaussians in head space, hair laid flat where there is a cap; features are [N, F], also where F is 0.
+
+        A catchlight is for pictures: it moves with the viewer faster than harmonics can say, and would lie on pupils as a veil.
 
         They are in the studio's light, or as it falls on a head at rest where a scene's light is to take its place later.
         Colors are 0..1: beyond it, as learned on very fair skin, they would cancel out here and clip in every other renderer.
@@ -164,7 +166,7 @@ class Evaluator:
         colors = colors if shade is None else colors * shade
         shade = self.eye_shade(target, inputs)
         colors = colors if shade is None else colors * shade
-        if target.eyes is not None and not lit_later:
+        if target.eyes is not None and catchlight:
             rows, vertices = target.eyes.texels, to_numpy(self.mesh(target, inputs).vertices)
             colors[rows] = self.engine.array(
                 target.eyes.glinting(to_numpy(colors[rows]), target.model.head_model, vertices, direction)

@@ -9,6 +9,7 @@ import pytest
 
 from grmm_core.controls.frame import Controls
 from grmm_core.geometry.camera import Camera
+from grmm_core.light.eye_shade import polar_angles
 from grmm_core.session import CloudArrays, HairUse, Instance, RenderOptions, create_session
 from grmm_core.session.exporting import splat_cloud
 
@@ -37,6 +38,22 @@ def test_a_plain_renderer_shows_the_eyes_and_brows_of_the_avatar(session):
     iris = own[..., 2] - own[..., 0] > 0.05
     assert iris.sum() > 80
     assert float((own - theirs)[iris].mean()) < 0.15
+
+
+def test_exported_eyes_have_no_catchlight_and_drawn_ones_have(session):
+    """It moves with the viewer faster than harmonics can say: exported it lay on pupils as a veil."""
+    avatar = session.open("default")
+    pupils = (
+        polar_angles(session.target(avatar.id).model.head_model, session.evaluator.texels(session.target(avatar.id))) < 22.0
+    )
+    seen = [
+        session.gaussians(avatar.id, Controls(), np.array(view)).colors[: len(pupils)][pupils]
+        for view in ((0.0, 0.0, 1.0), (0.6, 0.0, 0.8))
+    ]
+    assert np.abs(seen[0] - seen[1]).max() < 0.25
+    ball = session.deform(avatar.id, Controls()).vertices[session.target(avatar.id).model.head_model.regions["left_eyeball"]]
+    iris = Camera.orbit(64, 64, yaw=0, pitch=0, distance=1.0, fov=0.4, target=tuple(ball[ball[:, 2].argmax()].tolist()))
+    assert np.quantile(picture(session, avatar.id, iris)[..., 0], 0.99) > 0.75, "0.88; without a catchlight 0.63"
 
 
 @pytest.mark.parametrize(

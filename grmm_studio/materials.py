@@ -133,7 +133,7 @@ def skin_material(s: Subject, textures: SkinTextures, subsurface: bool) -> bpy.t
     """Skin from painted maps; grooves deepen with the vertex attribute `wrinkle`.
 
     The lines of the expression are the sum of the map's channels times the vertex attribute `lines`; `blood` multiplies the
-    color.
+    color, and so does `depth`, the shade of an open mouth.
     """
     n = Nodes("skin")
     color = n.image(f"{s.name}_albedo", textures.albedo)
@@ -144,7 +144,7 @@ def skin_material(s: Subject, textures: SkinTextures, subsurface: bool) -> bpy.t
     lines = {0: n.image(f"{s.name}_lines", textures.lines), 1: n.vector("lines")}
     relief = n.node("ShaderNodeVectorMath", lines, operation="DOT_PRODUCT").outputs["Value"]
     color = n.mix(n.math("MULTIPLY", relief, -LINE_SHADE), color, n.mix(1.0, color, factor, "MULTIPLY"))
-    color = n.mix(1.0, color, n.vector("blood"), "MULTIPLY")
+    color = n.mix(1.0, n.mix(1.0, color, n.vector("blood"), "MULTIPLY"), n.attribute("depth"), "MULTIPLY")
     height = n.math("SUBTRACT", parts[0], n.math("MULTIPLY", groove, 0.0018))
     height = n.math("ADD", height, n.math("MULTIPLY", relief, LINE_DEPTH))
     normal = n.node("ShaderNodeBump", {"Height": height, "Strength": 0.6, "Distance": 1.0}).outputs[0]
@@ -256,7 +256,7 @@ def teeth_material(s: Subject, textures: TeethTextures, share: float) -> bpy.typ
 
 
 def tongue_material(s: Subject) -> bpy.types.Material:
-    """Rough pink tongue with a furrow."""
+    """Rough pink tongue with a furrow, darker by `depth`."""
     n = Nodes("tongue")
     rest = n.vector("rest")
     papillae = n.node("ShaderNodeTexVoronoi", {"Vector": rest, "Scale": 800.0}).outputs["Distance"]
@@ -264,6 +264,7 @@ def tongue_material(s: Subject) -> bpy.types.Material:
     furrow = n.ramp(n.math("ABSOLUTE", x), 0.0025, 0.0)
     color = n.mix(n.noise(rest, 150.0, 3.0), (0.56, 0.19, 0.18), (0.43, 0.12, 0.125))
     color = n.mix(n.math("MULTIPLY", furrow, 0.45), color, (0.30, 0.07, 0.07))
+    color = n.mix(1.0, color, n.attribute("depth"), "MULTIPLY")
     normal = n.node(
         "ShaderNodeBump", {"Height": n.math("MULTIPLY", papillae, 0.0005), "Strength": 0.6, "Distance": 1.0}
     ).outputs[0]

@@ -21,6 +21,7 @@ from grmm_core.hair.roots import BEARD, BROWS, LASHES, SCALP
 from grmm_core.head import HeadModel
 from grmm_core.light.cornea import EYEBALLS
 from grmm_core.light.eye_shade import lid_edges, lids_leave
+from grmm_core.light.mouth_shade import depth_leaves
 
 from . import fields
 from .flesh import Flesh
@@ -219,6 +220,7 @@ class Studio:
             "wrinkle": self._age_lines,
             "mouth": self._mask("mouth_interior"),
             "lids": np.ones(len(rest)),
+            "depth": np.ones(len(rest)) if (leaves := depth_leaves(self.head)) is None else self.mesh.spread(leaves),
         }
         for name, value in values.items():
             attribute = mesh.attributes.new(name, "FLOAT", "POINT")

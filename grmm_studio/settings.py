@@ -16,7 +16,7 @@ from grmm_core.errors import ConfigError
 from .lights import lights_named
 from .shots import MAX_CAMERAS, MOUTH, Shot, expression_pool, held_out, make_mouth_shot, make_shot, view_split
 
-STUDIO = 10  # raise whenever the pictures of a seed change: a capture is not continued with others
+STUDIO = 11  # raise whenever the pictures of a seed change: a capture is not continued with others
 UNNUMBERED_STUDIO = 2  # of captures from before the number was recorded
 MAX_SHOTS = 10_000  # their numbers have four digits in file names
 FRAMINGS = ("", MOUTH)  # values of `CaptureSettings.framing`

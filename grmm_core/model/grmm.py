@@ -25,7 +25,7 @@ from ..geometry.camera import Camera
 from ..geometry.libraries import to_numpy
 from ..geometry.tensor_rotations import euler_to_rotvec
 from ..head.torch_head import TorchHead
-from ..light.eye_shade import Eyes, eyes_of
+from ..light.hollows import Hollows
 from ..light.resting import Texels
 from ..light.turning import turned_shade
 from ..splat import Gaussians, RasterOutput, rasterize
@@ -309,16 +309,15 @@ class GRMM(nn.Module):
         shade = turned_shade(self.head_model, self.lit_texels, to_numpy(vertices), to_numpy(pose))
         return None if shade is None else torch.as_tensor(shade, dtype=self.dtype, device=self.device)
 
-    def eye_shade(self, vertices: Tensor) -> Tensor | None:
-        """What lids leave of the colors of eyes, [N, 3], of posed vertices [V, 3]; None for models without `eye_shade`."""
-        if self.eyes is None:
-            return None
-        return torch.as_tensor(self.eyes.shade(to_numpy(vertices)), dtype=self.dtype, device=self.device)
+    def hollow_shade(self, vertices: Tensor) -> Tensor | None:
+        """What colors of eyes and mouths are multiplied by, [N, 1 or 3], of posed vertices [V, 3]; None for nothing."""
+        shade = self.hollows.shade(to_numpy(vertices))
+        return None if shade is None else torch.as_tensor(shade, dtype=self.dtype, device=self.device)
 
     @functools.cached_property
-    def eyes(self) -> Eyes | None:
-        """The texels that lie in the shade of lids; None for models without `eye_shade`."""
-        return eyes_of(self.head_model, self.lit_texels) if self.config.eye_shade else None
+    def hollows(self) -> Hollows:
+        """What lies in the shade of lids or deep in the mouth (`eye_shade` and `mouth_shade` of the configuration)."""
+        return Hollows.of(self.head_model, self.lit_texels, self.config.eye_shade, self.config.mouth_shade)
 
     @functools.cached_property
     def lit_texels(self) -> Texels:
@@ -326,9 +325,9 @@ class GRMM(nn.Module):
         return Texels.of(self.head_model, self.layout.face, self.layout.barycentric)
 
     def gaussians(self, vertices: Tensor, attributes: Attributes) -> Gaussians:
-        """Place decoded attributes on the posed vertices [V, 3] of one head, eyes in the shade of their lids."""
+        """Place decoded attributes on the posed vertices [V, 3] of one head, eyes and the mouth's inside in their shade."""
         placed = self.geometry(vertices, attributes.offsets)
-        shade = self.eye_shade(vertices)
+        shade = self.hollow_shade(vertices)
         attributes = attributes if shade is None else attributes.recolored(attributes.colors * shade)
         features = attributes.features if self.config.features else None
         return Gaussians(*placed, torch.sigmoid(attributes.logits), attributes.colors, features)

@@ -32,7 +32,7 @@ import numpy as np
 from ..avatar import Avatar
 from ..controls.frame import Controls
 from ..geometry.libraries import to_numpy, zeros
-from ..light.eye_shade import Eyes, eyes_of
+from ..light.hollows import Hollows
 from ..light.resting import Texels
 from ..light.turning import turned_shade
 from ..model.detail import Blocks, texel_blocks, thin_out
@@ -78,10 +78,11 @@ class OpenAvatar:
         return self.loaded.space.inputs(self.avatar, Controls())
 
     @functools.cached_property
-    def eyes(self) -> Eyes | None:
-        """What lies in the shade of lids; None for models without it."""
-        head, layout = self.model.head_model, self.model.layout
-        return eyes_of(head, Texels.of(head, layout.face, layout.barycentric)) if self.model.config.eye_shade else None
+    def hollows(self) -> Hollows:
+        """What lies in the shade of lids or deep in the mouth."""
+        head, layout, config = self.model.head_model, self.model.layout, self.model.config
+        texels = Texels.of(head, layout.face, layout.barycentric)
+        return Hollows.of(head, texels, config.eye_shade, config.mouth_shade)
 
 
 class Evaluator:
@@ -164,13 +165,11 @@ class Evaluator:
         colors = colors + tint
         shade = None if lit_later or not target.model.config.turned_light else self.turned_shade(target, inputs)
         colors = colors if shade is None else colors * shade
-        shade = self.eye_shade(target, inputs)
+        shade = self.hollow_shade(target, inputs)
         colors = colors if shade is None else colors * shade
-        if target.eyes is not None and catchlight:
-            rows, vertices = target.eyes.texels, to_numpy(self.mesh(target, inputs).vertices)
-            colors[rows] = self.engine.array(
-                target.eyes.glinting(to_numpy(colors[rows]), target.model.head_model, vertices, direction)
-            )
+        if (eyes := target.hollows.eyes) is not None and catchlight:
+            rows, vertices = eyes.texels, to_numpy(self.mesh(target, inputs).vertices)
+            colors[rows] = self.engine.array(eyes.glinting(to_numpy(colors[rows]), target.model.head_model, vertices, direction))
         colors = colors.clip(0.0, 1.0)
         full = Gaussians(*placed, opacities, colors, features)
         return full if lod == 0 else thin_out(full, self.blocks(target, lod), lod)
@@ -186,16 +185,15 @@ class Evaluator:
         found = self.cache.get((target.id, "turned shade", *inputs.mesh_key), make)
         return found[0] if found else None
 
-    def eye_shade(self, target: OpenAvatar, inputs: Inputs) -> Any:
-        """Return what lids leave of the colors of eyes, [N, 3]; None for models without it."""
-        eyes = target.eyes
-        if eyes is None:
-            return None
+    def hollow_shade(self, target: OpenAvatar, inputs: Inputs) -> Any:
+        """Return what colors of eyes and mouths are multiplied by, [N, 1 or 3]; None for models without such shades."""
 
         def make() -> tuple[Any, ...]:
-            return (self.engine.array(eyes.shade(to_numpy(self.mesh(target, inputs).vertices))),)
+            shade = target.hollows.shade(to_numpy(self.mesh(target, inputs).vertices))
+            return () if shade is None else (self.engine.array(shade),)
 
-        return self.cache.get((target.id, "eye shade", *inputs.mesh_key), make)[0]
+        found = self.cache.get((target.id, "hollow shade", *inputs.mesh_key), make)
+        return found[0] if found else None
 
     def texels(self, target: OpenAvatar) -> Texels:
         """Return where the Gaussians are on the mesh."""

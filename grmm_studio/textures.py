@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 from grmm_core.head import HeadModel
 from grmm_core.head.lash_cards import lash_edges
 from grmm_core.head.lip_border import lip_borders
+from grmm_core.light.lip_tone import tone_at
 from grmm_core.wrinkles.lines import paint_lines
 from grmm_core.wrinkles.noise import bump, smoothstep
 
@@ -39,6 +40,7 @@ class Atlas:
         masks: Region weights of the covered texels, [n] each.
         nearest: Index into the covered texels for every texel, [size, size].
         lash_line: Template points along the edges of the upper lids, [m, 3].
+        lip_tone: What colors of the covered texels are multiplied by, [n, 3] (`light.lip_tone`).
     """
 
     size: int
@@ -46,6 +48,7 @@ class Atlas:
     masks: dict[str, np.ndarray]
     nearest: np.ndarray
     lash_line: np.ndarray
+    lip_tone: np.ndarray
 
     @staticmethod
     def build(head: HeadModel, size: int = 1024) -> Atlas:
@@ -85,7 +88,9 @@ class Atlas:
         finer = [
             np.stack([np.interp(np.linspace(0, 1, 80), np.linspace(0, 1, len(e)), e[:, k]) for k in range(3)], 1) for e in edges
         ]
-        return Atlas(size, rest, masks, index[where[0], where[1]], np.concatenate(finer))
+        tone = tone_at(head, rest)
+        tone = np.ones((1, 3)) if tone is None else tone
+        return Atlas(size, rest, masks, index[where[0], where[1]], np.concatenate(finer), tone)
 
 
 @dataclass
@@ -207,7 +212,7 @@ def paint_skin(subject: Subject, atlas: Atlas) -> SkinTextures:
     canvas = Canvas(rest, color, height, roughness)
     paint_marks(s, canvas, edge * (1 - mouth), atlas.lash_line)
     return SkinTextures(
-        albedo=np.clip(canvas.color, 0, 1).astype(np.float16)[atlas.nearest],
+        albedo=np.clip(canvas.color * atlas.lip_tone, 0, 1).astype(np.float16)[atlas.nearest],
         groove_albedo=np.asarray(dark / skin_albedo(s.melanin, s.blood)),
         detail=np.stack([canvas.height, groove, canvas.roughness], -1).astype(np.float16)[atlas.nearest],
         lines=(paint_lines(rest, s.asymmetry, s.wrinkles) * (1 - mouth)[:, None]).astype(np.float16)[atlas.nearest],

@@ -49,7 +49,7 @@ class LipBorder(NamedTuple):
         """Whether places [N, 3] are about the border, [N]: 1 within one distance, 0 from another on, in corners and inside."""
         apart, aside = np.abs(self.beyond(places)), np.abs(places[:, 0]) / self.points[-1, 0]
         behind = np.interp(places[:, 0], self.points[:, 0], self.points[:, 2]) - places[:, 2]
-        found: np.ndarray = _falls(apart, whole, nothing) * _falls(aside, *_CORNERS) * (np.abs(behind) < _DEEP)
+        found: np.ndarray = falls(apart, whole, nothing) * falls(aside, *_CORNERS) * (np.abs(behind) < _DEEP)
         return found
 
 
@@ -71,7 +71,7 @@ def _along(marks: np.ndarray) -> np.ndarray:
     return line
 
 
-def _falls(values: np.ndarray, whole: float, nothing: float) -> np.ndarray:
+def falls(values: np.ndarray, whole: float, nothing: float) -> np.ndarray:
     """1 below the first limit, 0 from the second on."""
     found: np.ndarray = ((nothing - values) / (nothing - whole)).clip(0.0, 1.0)
     return found

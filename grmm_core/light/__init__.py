@@ -11,7 +11,7 @@
 ``skin_relief``   pores and furrows in highlights and close-ups; ``skin_relief_kernel`` again, compiled
 ``cornea``        the bulge of eyes that glints stand on, and the studio's catchlight
 ``eye_shade``     whites of eyes, and the shade of lids on them
-``mouth_shade``   how dark a mouth is inside; ``hollows`` both
+``mouth_shade``   how dark a mouth is inside; ``lip_tone`` how dark lips are; ``tones`` all three
 ``shading``       irradiance relative to the rig, and highlights, at each Gaussian
 ``hair_shading``  the same for strands
 ``shadow_kernels`` shadow maps again, compiled; ``light_kernels`` shading and relighting;

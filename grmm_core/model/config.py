@@ -67,7 +67,7 @@ class GRMMConfig:
         turned_light: Colors of a head that its neck turns change as the capture studio's rig lights it (`light.turning`); to be
             off for data in another light. The paper's form has nothing like it.
         eye_shade: Eyes lie in the shade of their lids, which colors do not hold (`light.eye_shade`); likewise.
-        mouth_shade: Mouths are dark inside, which colors do not hold (`light.mouth_shade`); likewise.
+        mouth_tone: Mouths are darker inside, and lips darker and bluer, than colors hold (`light.tones`); likewise.
         lip_line: The borders of lips are redrawn along smooth lines (`model.lip_line`), for weights of a studio that painted
             them elsewhere: up to its number 9.
         refine: Whether there is a refinement network.
@@ -103,7 +103,7 @@ class GRMMConfig:
     hairless: bool = False
     turned_light: bool = True
     eye_shade: bool = True
-    mouth_shade: bool = True
+    mouth_tone: bool = True
     lip_line: bool = True
     refine: bool = True
     refine_channels: tuple[int, ...] = (32, 64, 128)
@@ -189,7 +189,7 @@ def _check_type(name: str, annotation: str, value: Any) -> None:
 
 
 PRESETS: dict[str, GRMMConfig] = {
-    "paper": GRMMConfig(turned_light=False, eye_shade=False, mouth_shade=False, lip_line=False),
+    "paper": GRMMConfig(turned_light=False, eye_shade=False, mouth_tone=False, lip_line=False),
     # the paper's sizes with the two extensions that gave the largest gains, and clamped scales
     "base": GRMMConfig(
         name="base", grid=512, features=32, z_id=256, z_exp=128, mesh_hidden=128, mesh_rank=64,

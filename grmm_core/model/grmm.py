@@ -25,8 +25,8 @@ from ..geometry.camera import Camera
 from ..geometry.libraries import to_numpy
 from ..geometry.tensor_rotations import euler_to_rotvec
 from ..head.torch_head import TorchHead
-from ..light.hollows import Hollows
 from ..light.resting import Texels
+from ..light.tones import Tones
 from ..light.turning import turned_shade
 from ..splat import Gaussians, RasterOutput, rasterize
 from .config import METRES_PER_MM, GRMMConfig
@@ -309,15 +309,15 @@ class GRMM(nn.Module):
         shade = turned_shade(self.head_model, self.lit_texels, to_numpy(vertices), to_numpy(pose))
         return None if shade is None else torch.as_tensor(shade, dtype=self.dtype, device=self.device)
 
-    def hollow_shade(self, vertices: Tensor) -> Tensor | None:
+    def tone(self, vertices: Tensor) -> Tensor | None:
         """What colors of eyes and mouths are multiplied by, [N, 1 or 3], of posed vertices [V, 3]; None for nothing."""
-        shade = self.hollows.shade(to_numpy(vertices))
+        shade = self.tones.shade(to_numpy(vertices))
         return None if shade is None else torch.as_tensor(shade, dtype=self.dtype, device=self.device)
 
     @functools.cached_property
-    def hollows(self) -> Hollows:
-        """What lies in the shade of lids or deep in the mouth (`eye_shade` and `mouth_shade` of the configuration)."""
-        return Hollows.of(self.head_model, self.lit_texels, self.config.eye_shade, self.config.mouth_shade)
+    def tones(self) -> Tones:
+        """What colors that were learned lack (`eye_shade` and `mouth_tone` of the configuration)."""
+        return Tones.of(self.head_model, self.lit_texels, self.config.eye_shade, self.config.mouth_tone)
 
     @functools.cached_property
     def lit_texels(self) -> Texels:
@@ -327,7 +327,7 @@ class GRMM(nn.Module):
     def gaussians(self, vertices: Tensor, attributes: Attributes) -> Gaussians:
         """Place decoded attributes on the posed vertices [V, 3] of one head, eyes and the mouth's inside in their shade."""
         placed = self.geometry(vertices, attributes.offsets)
-        shade = self.hollow_shade(vertices)
+        shade = self.tone(vertices)
         attributes = attributes if shade is None else attributes.recolored(attributes.colors * shade)
         features = attributes.features if self.config.features else None
         return Gaussians(*placed, torch.sigmoid(attributes.logits), attributes.colors, features)

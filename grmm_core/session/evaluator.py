@@ -32,8 +32,8 @@ import numpy as np
 from ..avatar import Avatar
 from ..controls.frame import Controls
 from ..geometry.libraries import to_numpy, zeros
-from ..light.hollows import Hollows
 from ..light.resting import Texels
+from ..light.tones import Tones
 from ..light.turning import turned_shade
 from ..model.detail import Blocks, texel_blocks, thin_out
 from ..model.inputs import ModelInputs
@@ -78,11 +78,11 @@ class OpenAvatar:
         return self.loaded.space.inputs(self.avatar, Controls())
 
     @functools.cached_property
-    def hollows(self) -> Hollows:
-        """What lies in the shade of lids or deep in the mouth."""
+    def tones(self) -> Tones:
+        """What colors that were learned lack, such as the shade of lids."""
         head, layout, config = self.model.head_model, self.model.layout, self.model.config
         texels = Texels.of(head, layout.face, layout.barycentric)
-        return Hollows.of(head, texels, config.eye_shade, config.mouth_shade)
+        return Tones.of(head, texels, config.eye_shade, config.mouth_tone)
 
 
 class Evaluator:
@@ -165,11 +165,13 @@ class Evaluator:
         colors = colors + tint
         shade = None if lit_later or not target.model.config.turned_light else self.turned_shade(target, inputs)
         colors = colors if shade is None else colors * shade
-        shade = self.hollow_shade(target, inputs)
+        shade = self.tone(target, inputs)
         colors = colors if shade is None else colors * shade
-        if (eyes := target.hollows.eyes) is not None and catchlight:
+        if (eyes := target.tones.eyes) is not None and catchlight:
             rows, vertices = eyes.texels, to_numpy(self.mesh(target, inputs).vertices)
-            colors[rows] = self.engine.array(eyes.glinting(to_numpy(colors[rows]), target.model.head_model, vertices, direction))
+            colors[rows] = self.engine.array(
+                eyes.glinting(to_numpy(colors[rows]), target.model.head_model, vertices, direction)
+            )
         colors = colors.clip(0.0, 1.0)
         full = Gaussians(*placed, opacities, colors, features)
         return full if lod == 0 else thin_out(full, self.blocks(target, lod), lod)
@@ -185,14 +187,14 @@ class Evaluator:
         found = self.cache.get((target.id, "turned shade", *inputs.mesh_key), make)
         return found[0] if found else None
 
-    def hollow_shade(self, target: OpenAvatar, inputs: Inputs) -> Any:
+    def tone(self, target: OpenAvatar, inputs: Inputs) -> Any:
         """Return what colors of eyes and mouths are multiplied by, [N, 1 or 3]; None for models without such shades."""
 
         def make() -> tuple[Any, ...]:
-            shade = target.hollows.shade(to_numpy(self.mesh(target, inputs).vertices))
+            shade = target.tones.shade(to_numpy(self.mesh(target, inputs).vertices))
             return () if shade is None else (self.engine.array(shade),)
 
-        found = self.cache.get((target.id, "hollow shade", *inputs.mesh_key), make)
+        found = self.cache.get((target.id, "tone", *inputs.mesh_key), make)
         return found[0] if found else None
 
     def texels(self, target: OpenAvatar) -> Texels:

@@ -130,8 +130,7 @@ class LitAvatar:
         if len(self._lighting.local) or len(fine):
             at_rows = fine[self._rows] if len(fine) == len(self._texels.corners) else None
             found[:, RATIO] *= self._drawn.factor(self._lighting.local, at_rows)
-        if self._response.even_mouth:
-            even_mouth(self._head, corners, found, FRONT)
+        even_mouth(self._head, corners, found, FRONT, bound=not self._response.even_mouth)
         return found, tilts
 
     def _glints(self, highlights: np.ndarray, seen: np.ndarray, eye: np.ndarray, around: np.ndarray, turn: np.ndarray) -> None:

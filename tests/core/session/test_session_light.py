@@ -136,6 +136,25 @@ def test_in_the_studios_rig_an_open_mouth_stays_as_it_was_learned(session, jaw):
         assert ratio.max() < 1.6
 
 
+def test_teeth_of_a_grin_get_no_more_light_than_the_lips_around_them(session):
+    """Grins bare teeth farther than the pose in which the rig on them is found: in lamps they were white as paper."""
+    target = session.target(session.open("default").id)
+    names = {"mouthSmile": 0.8, "mouthUpperUp": 0.8, "mouthLowerDown": 0.4}
+    grin = Controls().set_named({f"{name}{side}": value for name, value in names.items() for side in ("Left", "Right")})
+    for lighting in (STUDIO, Lighting((Sun(direction=(0.0, 0.15, 1.0), strength=3.0),))):
+        lit = LitAvatar(session.evaluator, target, session.evaluator.inputs(target, grin), lighting, Response())
+        with session.engine.calling():
+            (light,) = lit.channels(np.array([0.0, 0.0, 1.1]), None)
+        head, front = target.model.head_model, light[:, SHADOW.start - 1]
+        ratio = light[:, RATIO].mean(1) / np.maximum(front, 1e-9)
+        teeth, lips = (
+            head.marked(*names)[head.faces[target.model.layout.face]].all(1) & (front > LEAST_FRONT)
+            for names in (("upper_teeth", "lower_teeth"), ("lips",))
+        )
+        assert ratio[teeth].max() < 1.3 * np.quantile(ratio[lips], 0.75)
+        assert ratio[teeth].max() > np.median(ratio[lips]), "they are not dark either"
+
+
 def test_a_sun_lights_the_side_that_it_stands_on_and_things_throw_shadows(session):
     lit = drawn(session, LEFT)
     bright, dark = halves(lit["linear"][..., :3])

@@ -1,7 +1,8 @@
 """Lips as dark as people's. Needs numpy only.
 
-On photos a lower lip is half as bright as the cheek and an upper one a third, and both are bluer than ours (docs/rendering.md,
-"Mouths"): the capture studio painted lips too light and lights them from below as well, so that they were one orange patch.
+On photos a lower lip is half as bright as the cheek and an upper one a third, both are bluer than ours, and the corners of the
+mouth are dark creases (docs/rendering.md, "Mouths"). The capture studio painted lips too light and lights them from below as
+well, so that they were one orange patch that ended without a crease.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 UPPER, LOWER = np.array([0.70, 0.66, 0.76]), np.array([0.82, 0.78, 0.89])  # of the linear colors that were learned
 EDGE, SEAM = 0.0009, 0.0008  # metres about the borders within which lips end, and about the line where they meet
 CORNERS, BEHIND = (0.94, 1.02), (0.006, 0.012)  # share of the mouth's half width, metres behind the borders: lips end there
+CORNER = np.array([0.55, 0.62, 0.62])  # of light, what a corner of the mouth keeps off: a crease that goes on into the cheek
+OUTWARDS, INWARDS, ACROSS, DOWN = 0.0035, 0.0025, 0.0012, 0.15  # metres along and across it; how far it drops on its way
 _MEET = (78, 191, 80, 81, 82, 13, 312, 311, 310, 415, 308), (78, 95, 88, 178, 87, 14, 317, 402, 318, 324, 308)  # MediaPipe's
 _GAMMA = 2.2  # of display values, nearly
 
@@ -44,6 +47,11 @@ def tone_at(head: HeadModel, places: np.ndarray) -> np.ndarray | None:
         behind = np.interp(places[:, 0], border.points[:, 0], border.points[:, 2]) - places[:, 2]
         share = share * border.share(places, EDGE) * falls(behind, *BEHIND)
     found: np.ndarray = 1.0 + (LOWER + (UPPER - LOWER) * upper - 1.0) * share[:, None]
+    for corner in marks[[61, 291]]:
+        along = (places[:, 0] - corner[0]) * np.sign(corner[0])
+        across = places[:, 1] - corner[1] + DOWN * along.clip(0.0, None)
+        near = np.exp(-0.5 * ((along / np.where(along > 0.0, OUTWARDS, INWARDS)) ** 2 + (across / ACROSS) ** 2))
+        found *= 1.0 - CORNER * (near * falls(corner[2] - places[:, 2], *BEHIND))[:, None]
     return found
 
 

@@ -22,7 +22,7 @@ from ..light.bounce import nearest_points
 from ..light.lamps import STUDIO, Lighting, Sun
 from ..light.materials import materials_of
 from ..light.relight import to_linear
-from ..light.resting import RestLight, Texels, casters_of, even_mouth
+from ..light.resting import RestLight, Texels, casters_of, even_mouth, mouth_rows
 from ..light.shading import Learned, Response, reached, relative, shade, straight
 from ..light.shadows import Receivers, maps_of
 from ..light.surroundings import TERMS, Surroundings, sphere
@@ -198,7 +198,7 @@ class PhotoHead:
         learned = Learned(rest.rig, np.zeros_like(rest.rig))
         found = relative(scene, bounced, corners, self._texels.barycentric, learned, 0.0)[:, [0, 1, 2, 6]]
         found[:, :3] *= self._texels.factor(light.local, light.fine_factor)
-        even_mouth(self._head, corners, found, 3)
+        even_mouth(*mouth_rows(self._head, corners), found, 3)
         return found
 
     def again(self, seen: Seen, light: Light, flat: np.ndarray) -> Light:

@@ -340,7 +340,13 @@ def _moves(head: HeadModel, values: Mapping[str, float]) -> np.ndarray:
     return moved - still
 
 
-def even_mouth(head: HeadModel, corners: np.ndarray, light: np.ndarray, front: int, bound: bool = False) -> None:
+def mouth_rows(head: HeadModel, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers of the texels, with vertices around each [N, 3], that lie in the mouth [K] and on lips [L]."""
+    inside, lips = (np.flatnonzero(head.marked(*names)[corners].all(1)) for names in (MOUTH, ("lips",)))
+    return inside, lips
+
+
+def even_mouth(inside: np.ndarray, lips: np.ndarray, light: np.ndarray, front: int, bound: bool = False) -> None:
     """Give the whole mouth the light of the lips, as photos are fitted, or no more than that.
 
     Lips are never tracked so closely that the edges of their shadows on the teeth are where a photo has them: taken out, they
@@ -348,14 +354,13 @@ def even_mouth(head: HeadModel, corners: np.ndarray, light: np.ndarray, front: i
     the rig than `_Opened` finds: without a bound they were up to nine times as bright as a dark cheek beside them.
 
     Args:
-        head: Head model.
-        corners: Vertices around each texel, [N, 3].
+        inside: Numbers of its texels (`mouth_rows`), [K].
+        lips: Likewise, [L].
         light: What arrives relative to the rig, times how much it counts: three colors first, [N, C]; changed in place.
         front: Column of how much it counts.
         bound: Leave what has less.
     """
-    inside, lips = (head.marked(*names)[corners].all(1) for names in (MOUTH, ("lips",)))
-    if not inside.any() or not lips.any():
+    if not len(inside) or not len(lips):
         return
     level = _TEETH * np.quantile(light[lips, :3].mean(1) / light[lips, front], _LIT if bound else 0.5)
     most = level * light[inside, front, None]

@@ -24,7 +24,7 @@ from ..light.lamps import STUDIO, Lamp, Lighting
 from ..light.materials import Materials, materials_of
 from ..light.mesh_light import NOT_SOFTENED, LitSurface, TexelGrid
 from ..light.posture import Posture
-from ..light.resting import RestLight, Texels, casting_faces, even_mouth, texel_grid
+from ..light.resting import RestLight, Texels, casting_faces, even_mouth, mouth_rows, texel_grid
 from ..light.shading import FADING, Learned, Response, facing, relative, shade
 from ..light.shadows import Casters, Maps, Receivers, compiled_kernels, maps_of
 from ..light.skin_relief import VALUES, lying
@@ -130,7 +130,8 @@ class LitAvatar:
         if len(self._lighting.local) or len(fine):
             at_rows = fine[self._rows] if len(fine) == len(self._texels.corners) else None
             found[:, RATIO] *= self._drawn.factor(self._lighting.local, at_rows)
-        even_mouth(self._head, corners, found, FRONT, bound=not self._response.even_mouth)
+        rows = self._evaluator.cache.get((self._target.id, "mouth", self._lod), lambda: mouth_rows(self._head, corners))
+        even_mouth(*rows, found, FRONT, bound=not self._response.even_mouth)
         return found, tilts
 
     def _glints(self, highlights: np.ndarray, seen: np.ndarray, eye: np.ndarray, around: np.ndarray, turn: np.ndarray) -> None:

@@ -1,8 +1,8 @@
 """Lips as dark as people's. Needs numpy only.
 
-On photos a lower lip is half as bright as the cheek and an upper one a third, both are bluer than ours, and the corners of the
+On photos a lower lip is half as bright as the cheek and an upper one a third, both are less red than ours, and the corners of the
 mouth are dark creases (docs/rendering.md, "Mouths"). The capture studio painted lips too light and lights them from below as
-well, so that they were one orange patch that ended without a crease.
+well, so that they were one red patch that ended without a crease.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from ..head import HeadModel
     from .resting import Texels
 
-UPPER, LOWER = np.array([0.70, 0.66, 0.76]), np.array([0.82, 0.78, 0.89])  # of the linear colors that were learned
+UPPER, LOWER = np.array([0.68, 0.73, 0.77]), np.array([0.76, 0.84, 0.94])  # of the linear colors that were learned
 EDGE, SEAM = 0.0009, 0.0008  # metres about the borders within which lips end, and about the line where they meet
 CORNERS, BEHIND = (0.94, 1.02), (0.006, 0.012)  # share of the mouth's half width, metres behind the borders: lips end there
 CORNER = np.array([0.55, 0.62, 0.62])  # of light, what a corner of the mouth keeps off: a crease that goes on into the cheek

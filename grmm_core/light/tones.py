@@ -23,7 +23,7 @@ class Tones(NamedTuple):
 
     Attributes:
         eyes: What lies in the shade of lids, or None.
-        steady: What display colors are multiplied by in every pose, [N, 3], or None for nothing.
+        steady: What display colors are multiplied by in every pose, [N, 1 or 3], or None for nothing.
     """
 
     eyes: Eyes | None
@@ -36,7 +36,7 @@ class Tones(NamedTuple):
         return Tones(eyes_of(head, texels) if eyes else None, np.prod(np.broadcast_arrays(*steady), 0) if steady else None)
 
     def shade(self, vertices: np.ndarray) -> np.ndarray | None:
-        """What display colors are multiplied by on posed vertices [V, 3], metres: [N, 3] float32; None for nothing."""
+        """What display colors are multiplied by on posed vertices [V, 3], metres: [N, 1 or 3] float32; None for nothing."""
         if self.eyes is None or self.steady is None:
             return self.steady if self.eyes is None else self.eyes.shade(vertices)
         return self.eyes.shade(vertices) * self.steady

@@ -67,7 +67,7 @@ class GRMMConfig:
         turned_light: Colors of a head that its neck turns change as the capture studio's rig lights it (`light.turning`); to be
             off for data in another light. The paper's form has nothing like it.
         eye_shade: Eyes lie in the shade of their lids, which colors do not hold (`light.eye_shade`); likewise.
-        mouth_tone: Mouths are darker inside, and lips darker and bluer, than colors hold (`light.tones`); likewise.
+        mouth_tone: Mouths are darker inside, and lips darker and less red, than colors hold (`light.tones`); likewise.
         lip_line: The borders of lips are redrawn along smooth lines (`model.lip_line`), for weights of a studio that painted
             them elsewhere: up to its number 9.
         refine: Whether there is a refinement network.

@@ -1,8 +1,8 @@
 """Lips as dark as people's. Needs numpy only.
 
-On photos a lower lip is half as bright as the cheek and an upper one a third, both are less red than ours, and the corners of the
-mouth are dark creases (docs/rendering.md, "Mouths"). The capture studio painted lips too light and lights them from below as
-well, so that they were one red patch that ended without a crease.
+On photos a lower lip is half as bright as the cheek and an upper one two fifths, both are less red than they were learned, and
+the corners of the mouth are dark creases (docs/rendering.md, "Mouths"). The capture studio painted lips too light and lights
+them from below as well, so that they were one red patch that ended without a crease.
 """
 
 from __future__ import annotations

@@ -194,7 +194,8 @@ def test_what_is_an_avatars_own_fades_towards_other_people(local, tmp_path):
         before, after = (local.gaussians(one.id, controls) for one in (plain, changed))
         free = (after.colors < 1.0) & (before.colors > 0.0) & skin  # neither is at the end of the range
         assert free.mean() > 0.8
-        np.testing.assert_allclose((after.colors - before.colors)[free], 0.25 * share, atol=1e-5)
+        expected = np.broadcast_to(0.25 * share * local.target(plain.id).tones.steady, free.shape)
+        np.testing.assert_allclose((after.colors - before.colors)[free], expected[free], atol=1e-5)
         assert np.all(after.opacities < before.opacities) == (share > 0)
 
 

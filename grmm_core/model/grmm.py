@@ -325,7 +325,7 @@ class GRMM(nn.Module):
         return Texels.of(self.head_model, self.layout.face, self.layout.barycentric)
 
     def gaussians(self, vertices: Tensor, attributes: Attributes) -> Gaussians:
-        """Place decoded attributes on the posed vertices [V, 3] of one head, in the tones that learned colors lack (`tones`)."""
+        """Place decoded attributes on the posed vertices [V, 3] of one head, its colors with what they lack (`tones`)."""
         placed = self.geometry(vertices, attributes.offsets)
         shade = self.tone(vertices)
         attributes = attributes if shade is None else attributes.recolored(attributes.colors * shade)

@@ -47,9 +47,13 @@ def relit(picture: Picture, light: Tensor) -> Picture:
 
 
 def draw(model: GRMM, camera: Camera, vertices: Tensor, attributes: Attributes, refined: bool = True) -> Picture:
-    """Place attributes on posed vertices [V, 3] and draw them over black (eq. 13 and 14), with colors 0..1 as sessions do."""
-    shown = attributes.recolored(attributes.colors.clamp(0.0, 1.0))
-    return model.draw(model.gaussians(vertices, shown), camera, refined)
+    """Place attributes on posed vertices [V, 3] and draw them over black (eq. 13 and 14), with colors 0..1 as sessions do.
+
+    That is once they have what they lack (`GRMM.tones`): held before, lips could not be as light as a photo, and went on
+    growing.
+    """
+    scene = model.gaussians(vertices, attributes)
+    return model.draw(replace(scene, colors=scene.colors.clamp(0.0, 1.0)), camera, refined)
 
 
 def fit_loss(

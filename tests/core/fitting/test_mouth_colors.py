@@ -5,9 +5,12 @@ from __future__ import annotations
 import pytest
 import torch
 
+from grmm_core.controls.names import ALIGNED_NAMES
 from grmm_core.fitting.inpainting import fill_colors
 from grmm_core.fitting.mouth_colors import DETAIL, LIPS_DETAIL, TEETH_LIGHT
+from grmm_core.fitting.objective import decode, draw
 from grmm_core.fitting.surface import INNER, SKIN, texel_surface
+from grmm_core.geometry.camera import Camera
 
 PALE, RED, WHITE, DARK = (
     torch.tensor(color) for color in ([0.7, 0.55, 0.45], [0.7, 0.4, 0.35], [0.8, 0.78, 0.7], [0.3, 0.1, 0.1])
@@ -102,3 +105,16 @@ def test_lips_have_no_hard_border(surface, prior, redness):
     hard = (PALE - prior[border])[:, 1] / float((PALE - RED)[1])
     assert float(hard.min()) == 0.0
     assert float(((redder > 0.15) & (redder < 0.85)).float().mean()) > 0.9
+
+
+def test_a_fit_can_make_lips_as_light_as_a_photo_shows_them(bare, surface):
+    head, camera = bare.head_model, Camera.orbit(96, 96, distance=0.9, fov=12.0)
+    numbers = (torch.zeros(count) for count in (bare.config.z_id, head.shape_count, head.expression_count, 15, len(ALIGNED_NAMES)))
+    z_id, shape, expression, pose, aligned = numbers
+    inputs = bare.performed(z_id, shape, expression, pose.view(5, 3), aligned)
+    found, mesh = decode(bare, inputs, camera), bare.mesh(inputs).vertices
+    assert float(bare.tone(mesh)[surface.lips].median()) < 0.95
+    light = draw(bare, camera, mesh, found.recolored(torch.full_like(found.colors, 2.0)), refined=False)
+    covered = light.alpha > 0.99
+    assert float(light.raw[covered].min()) > 0.97, "not held before they are made darker"
+    assert float(light.raw.max()) <= 1.0 + 1e-5

@@ -109,9 +109,8 @@ def test_lips_have_no_hard_border(surface, prior, redness):
 
 def test_a_fit_can_make_lips_as_light_as_a_photo_shows_them(bare, surface):
     head, camera = bare.head_model, Camera.orbit(96, 96, distance=0.9, fov=12.0)
-    numbers = (torch.zeros(count) for count in (bare.config.z_id, head.shape_count, head.expression_count, 15, len(ALIGNED_NAMES)))
-    z_id, shape, expression, pose, aligned = numbers
-    inputs = bare.performed(z_id, shape, expression, pose.view(5, 3), aligned)
+    counts = bare.config.z_id, head.shape_count, head.expression_count, (5, 3), len(ALIGNED_NAMES)
+    inputs = bare.performed(*(torch.zeros(count) for count in counts))
     found, mesh = decode(bare, inputs, camera), bare.mesh(inputs).vertices
     assert float(bare.tone(mesh)[surface.lips].median()) < 0.95
     light = draw(bare, camera, mesh, found.recolored(torch.full_like(found.colors, 2.0)), refined=False)

@@ -26,9 +26,10 @@ from .hair_texture import Onto, Photo, joined, photos_of
 from .invert import photo_model_inputs
 from .types import PhotoTrack
 
-# pixels that a place must show in, hair in these below which it is wrong and above which right, the part of a strand below
-# which it is taken away, and the part of all hair from which on the photo is not believed
-SEEN, WRONG, RIGHT, SHORTEST, MOST_CUT = 0.06, 0.3, 0.6, 0.2, 0.5
+# pixels that a place must show in, hair in these below which it is wrong and above which right, and the part of all hair from
+# which on the photo is not believed
+SEEN, WRONG, RIGHT, MOST_CUT = 0.06, 0.3, 0.6, 0.5
+STUBBLE = 0.008  # metres that are left of a strand whose root no photo shows to be bare: a scalp behind the horizon is none
 LIKELY = 0.5  # of a pixel, from where on it is hat, or hair, or tells something
 ROOT = 3  # places of a strand of which the first that is seen tells what it stands on
 FACING = 0.15  # cosine between the skin's normal and the view, below which that is not believed: at the head's sides
@@ -68,8 +69,9 @@ def trimmed(model: GRMM, avatar: Avatar, tracks: Sequence[PhotoTrack], parts: Se
     if np.where(rootless, 1.0, 1.0 - left.clip(0.0)).mean() > MOST_CUT:
         return avatar
     even = groom.resampled(int(groom.counts.max()))
-    points = cut(even.points.reshape(len(even), -1, 3), left.clip(0.0)).reshape(-1, 3)
-    kept = dataclasses.replace(even, points=points).select((left > SHORTEST) & ~rootless)
+    left = np.maximum(left, np.minimum(STUBBLE / even.lengths.clip(1e-6), 1.0))
+    points = cut(even.points.reshape(len(even), -1, 3), left).reshape(-1, 3)
+    kept = dataclasses.replace(even, points=points).select(~rootless)
     return joined(avatar, hair, kept, hair.groom.select(~scalp))
 
 

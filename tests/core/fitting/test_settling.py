@@ -13,7 +13,7 @@ from grmm_core.avatar import save_avatar
 from grmm_core.controls.frame import Controls
 from grmm_core.controls.names import ALIGNED_NAMES, EXPRESSION_NAMES
 from grmm_core.fitting import photo_targets
-from grmm_core.fitting.hair_trim import trimmed
+from grmm_core.fitting.hair_trim import STUBBLE, trimmed
 from grmm_core.fitting.invert import photo_pictures, photo_views
 from grmm_core.fitting.photo_light import MATT
 from grmm_core.fitting.photo_targets import aligned_weights, bare_pixels
@@ -23,6 +23,7 @@ from grmm_core.fitting.settling import locally_lit, settled, worn_errors
 from grmm_core.geometry.camera import Camera
 from grmm_core.geometry.zbuffer import triangle_depth
 from grmm_core.hair import library_groom
+from grmm_core.hair.roots import SCALP
 from grmm_core.light.resting import MOUTH
 from grmm_core.model.torch_loader import with_deltas
 from grmm_core.session import Instance, RenderOptions, make_local_session
@@ -171,6 +172,9 @@ def test_hair_that_hangs_out_from_behind_a_head_ends_where_the_photo_has_none(se
     left = worn(session, cut, head, track.camera, light, tmp_path / "cut.grmm")["hair"][..., 0]
     assert left[end + 4 :].sum() < 0.6 * shown[end + 4 :].sum()  # places lie two centimetres apart; before, 0.98
     assert left[:end].sum() > 0.9 * shown[:end].sum()
+    scalp, kept = (one.hair.groom.select(one.hair.groom.groups == SCALP) for one in (avatar, cut))
+    assert len(kept) > 0.97 * len(scalp), "no bald spots where it was too long"
+    assert 0.9 * STUBBLE < kept.lengths.min() < 0.5 * scalp.lengths.min()
 
 
 def test_the_mouth_of_a_photos_light_is_the_lips_and_the_rest_is_as_before(session, model):

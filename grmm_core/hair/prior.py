@@ -48,6 +48,10 @@ GATHER = 1.5  # exponent of the place along a strand by which it joins its lock
 LONGER = 1.5  # factor at most by which what lies between courses of several directions is too short
 ALONE = 0.015  # metres to the next hairs' tips at which a strand is a stray one
 FACE, FEW = np.array([(-0.045, -0.08, 0.06), (0.045, 0.045, 0.2)]), 0.04  # metres; so small a share of hair there strays
+# metres of the mean head before and below which hair is the forehead's, and over which that begins; how far it stands off,
+# how much more for curls of a radius, and how much of what is beyond is left
+BROW, CROWN, FALLEN, CURLS, STIFF = (0.06, 0.02), (0.14, 0.02), 0.01, 5.0, 0.2
+FALLS = 3  # rounds of that: `Body` tells heights of some centimetres
 SHORT, LONG = 0.012, 0.05  # metres: shorter hair lies in no locks, hair so much longer does
 KERNEL = 5  # known grooms among which one is drawn
 HALF_LIFE = 0.3  # how far, of the way to another one, draws go at most
@@ -192,7 +196,7 @@ class HairPrior:
             heights, up = body.heights(points[:, 1:].reshape(-1, 3))
             lift = (np.clip(volume, 0.3, 2.0) - 1.0) * np.clip(heights, 0.0, 0.03)
             points[:, 1:] += (lift[:, None] * up).reshape(len(points), -1, 3)
-        points = body.pushed(points)
+        points = body.pushed(_fallen(points, body, float(found.scalars[0])))
         company = np.ones(len(points), bool)
         if steps == STRAND_POINTS:  # what is short cannot stray
             company = nearest(points[:, -1], points[:, -1], NEAR)[1][:, -1] < ALONE
@@ -222,6 +226,18 @@ class HairPrior:
         a, b = np.sqrt(np.arange(count) * _PLASTIC % 1.0), np.arange(count) * _THIRD % 1.0
         weights = np.stack([1 - a, a * (1 - b), a * b], 1)
         return among[chosen], weights, (corners[chosen] * weights[..., None]).sum(1)
+
+
+def _fallen(points: np.ndarray, body: Body, radius: float) -> np.ndarray:
+    """Strands [N, K, 3], curled by a radius, that fall on the forehead: halfway from one groom to another they are a visor."""
+    most, fallen = FALLEN + CURLS * radius, points.copy()
+    for _ in range(FALLS):
+        heights, up = body.heights(fallen[:, 1:].reshape(-1, 3))
+        height, depth = fallen[:, 1:, 1].ravel(), fallen[:, 1:, 2].ravel()
+        before = ((depth - BROW[0]) / BROW[1]).clip(0.0, 1.0) * ((CROWN[0] - height) / CROWN[1]).clip(0.0, 1.0)
+        down = before * (1.0 - STIFF) * (heights - most).clip(0.0)
+        fallen[:, 1:] -= (down[:, None] * up).reshape(len(points), -1, 3)
+    return fallen
 
 
 def described(places: np.ndarray, strands: np.ndarray) -> Description:

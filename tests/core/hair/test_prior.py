@@ -7,7 +7,8 @@ import pytest
 
 from grmm_core.errors import ConfigError, ShapeError
 from grmm_core.hair import library_groom
-from grmm_core.hair.prior import PRIOR_FILE, HairPrior, hair_prior, random_groom
+from grmm_core.hair.body import Body
+from grmm_core.hair.prior import CROPPED_POINTS, PRIOR_FILE, HairPrior, hair_prior, random_groom
 
 
 @pytest.fixture(scope="module")
@@ -59,6 +60,16 @@ def test_draws_differ_and_are_the_same_for_a_seed(prior):
         assert np.isfinite(heights).all()
         assert np.abs(heights).max() < 0.6
         assert 0.001 < np.median(lengths(groom)) < 0.5
+
+
+@pytest.mark.parametrize("seed", [4, 1003, 1004, 1009])
+def test_no_hair_stands_before_the_forehead_as_a_visor(prior, seed):
+    """These draws lie halfway from hair combed forward to hair that stands up."""
+    tips = on_head(prior, prior.groom(prior.draw(seed))).reshape(-1, CROPPED_POINTS, 3)[:, -1]
+    before = tips[(tips[:, 2] > 0.06) & (np.abs(tips[:, 0]) < 0.06) & (tips[:, 1] < 0.12)]
+    assert len(before) > 100
+    heights, _ = Body.of(prior.head, np.asarray(prior.head.v_template, float)).heights(before)
+    assert np.quantile(heights, 0.95) < 0.025
 
 
 def test_controls_do_what_they_say(prior):

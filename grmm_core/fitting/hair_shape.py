@@ -56,17 +56,19 @@ class Lattice(NamedTuple):
         steps: Of the descent.
         rate: Of these, metres.
         smooth: Weight of the field's curvature, in centimetres, beside the share of wrong cover.
+        depth: Factor of its curvature from front to back, which photos hardly tell: from the side hair had peaks and lumps.
     """
 
     nodes: tuple[int, int, int]
     steps: int
     rate: float
     smooth: float
+    depth: float
 
 
-COARSE = (Lattice((9, 11, 9), 20, 0.0045, 0.6), Lattice((17, 21, 17), 20, 0.0025, 6.0))
+COARSE = (Lattice((9, 11, 9), 20, 0.0045, 0.6, 2.0), Lattice((17, 21, 17), 20, 0.0025, 6.0, 2.0))
 """For few strands that stand for all: one after the other."""
-FINE = (Lattice((17, 21, 17), 28, 0.00225, 1.5),)
+FINE = (Lattice((17, 21, 17), 28, 0.00225, 1.5, 4.0),)
 """For strands about as thin as they are drawn: few and wide ones reach farther than these, by half their width."""
 
 
@@ -112,14 +114,14 @@ def field_to(course: Course, photos: Sequence[Seen], lattices: Sequence[Lattice]
     )
     posed, turns = others[: len(photos)], others[len(photos) :]
     wanted = [_Wanted.of(photo) for photo in photos]
-    for nodes, steps, rate, smooth in lattices:
+    for nodes, steps, rate, *stiff in lattices:
         start = functional.interpolate(field[None], nodes[::-1], mode="trilinear", align_corners=True)[0]
         field = start.detach().requires_grad_(True)
         descent = Adam([{"params": [field], "lr": rate}])
         for _ in range(steps):
             descent.zero_grad()
             moved = share * _sampled(field, course.rest)
-            loss = _roughness(field, smooth) + _deformation(rest, moved)
+            loss = _roughness(field, *stiff) + _deformation(rest, moved)
             for photo, points, turn, target in zip(photos, posed, turns, wanted, strict=True):
                 loss = loss + target.missed(*_drawn(points + moved @ turn, radii, course.opacity, photo)) / len(photos)
             loss.backward()
@@ -218,9 +220,9 @@ def _sampled(field: Tensor, points: np.ndarray) -> Tensor:
     return found[0, :, 0].permute(1, 2, 0)
 
 
-def _roughness(field: Tensor, smooth: float) -> Tensor:
+def _roughness(field: Tensor, smooth: float, depth: float) -> Tensor:
     """What a field costs by itself."""
-    bends = [100.0 * field.diff(2, axis) for axis in (1, 2, 3)]
+    bends = [100.0 * factor * field.diff(2, axis) for axis, factor in enumerate((depth, 1.0, 1.0), 1)]
     bent: Tensor = sum(((part**2).mean() for part in bends), SMALL / smooth * ((100.0 * field) ** 2).mean())
     return smooth * bent
 

@@ -38,6 +38,7 @@ _BUST_ROUNDS = 8  # from skin that is seen, to where it ends on a bust that is n
 _THROAT_ROUNDS = 2  # likewise on the throat, after each step
 _THROAT, _THROAT_RIM = (0.4, 0.8), 4  # share of throat after so many rounds: below the first light stays, above the second none
 _STEPS = 6  # of it, each by what the last has left (simultaneous algebraic reconstruction)
+_LIP_ROUNDS = 12  # of averaging, in which light on skin reaches the middle of lips
 _HALF_SEEN = 0.3  # texels of a vertex at which it is half believed
 _WEAKER = 10.0  # of wider means so much fewer are
 _GLARE = (0.2, 0.5)  # of the logarithm: brighter by the first a photo is believed less, from the second on not at all
@@ -83,7 +84,7 @@ def local_lights(
     wider = [(off - own, sure) for (off, sure), own in zip(found, narrow, strict=True)]
     color = _alone(*wider[0], precision[0]) if len(every) == 1 else _together(wider, precision)
     color = color + _FEATURES * _mean(narrow, precision)
-    local = [_factor(sure * (off - color)) for off, sure in found]
+    local = [_factor(_over_lips(head, sure * (off - color), sure)) for off, sure in found]
     shown = np.stack([seen.weights > 0 for seen in every])
     if len(every) == 1:  # what stands out from its surroundings is as likely a mark
         return local, np.ones(shown.shape)
@@ -94,6 +95,16 @@ def local_lights(
     least = np.where(shown, np.maximum(left, np.where(doubtful, 0.0, -np.inf)), np.inf).min(1)
     bright = left - np.where(shown.sum(0) > 1, least, 0.0)  # what all show is a mark
     return local, np.where(shown, np.clip((_GLARE[1] - bright) / (_GLARE[1] - _GLARE[0]), 0.0, 1.0), 1.0)
+
+
+def _over_lips(head: HeadModel, values: np.ndarray, sure: np.ndarray) -> np.ndarray:
+    """Values of vertices [V, C] that are sure by [V, 1], those of the skin around gone on over lips, which tell none."""
+    lips = head.marked("lips")
+    if not lips.any():
+        return values
+    around = _averaged(np.concatenate([sure * values, sure], 1) * ~lips[:, None], _edges(head), _LIP_ROUNDS)
+    gone_on = around[:, :-1] / np.maximum(around[:, -1:], 1e-9)
+    return np.where(lips[:, None], gone_on, values)
 
 
 def _alone(wide: np.ndarray, sure: np.ndarray, precision: np.ndarray) -> np.ndarray:

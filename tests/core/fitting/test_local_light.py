@@ -153,6 +153,20 @@ def test_an_eye_has_one_light_and_what_no_photo_shows_has_none(head, texels, pla
     np.testing.assert_array_equal(local[head.v_template[:, 2] < 0.0], 1.0)
 
 
+def test_light_on_lips_is_that_of_the_skin_around(head, texels, places, bare):
+    """They tell none, having a color of their own; without it a shaded mouth took the shade for dark lips."""
+    lips = head.marked("lips")[texels.corners].all(1)
+    low = places[:, 1] < places[lips, 1].max() + 0.01
+    (local,), _ = local_lights(
+        head, texels, photos([np.where(low, 0.6, 1.0)], bare), [np.ones((len(places), 3))], SKIN * np.ones((len(places), 1)),
+        np.array([DOUBTFUL]),
+    )  # fmt: skip
+    chin = low & (bare > 0) & (np.abs(places[:, 0]) < 0.03)
+    assert lips.sum() > 100
+    assert np.median(logs(texels, local, chin)) < -0.2
+    np.testing.assert_allclose(np.median(logs(texels, local, lips)), np.median(logs(texels, local, chin)), rtol=0.2)
+
+
 def test_burnt_out_and_black_pixels_tell_no_light(head, texels, places, bare):
     half = places[:, 0] > 0.0
     colors = np.where(half[:, None], 1.0, np.asarray(to_display(SKIN)))

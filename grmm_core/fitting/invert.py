@@ -23,7 +23,7 @@ from ..head import HeadModel
 from ..jobs.progress import Reporter
 from ..jobs.stages import FIT
 from ..light.relight import to_linear
-from ..light.resting import Texels
+from ..light.resting import Texels, mouth_rows
 from ..model.grmm import GRMM, Picture
 from ..model.inputs import ModelInputs
 from ..model.weights_file import WeightsInfo
@@ -204,7 +204,8 @@ class _Inversion:
             ]
         local, told = local_lights(model.head_model, texels, seen, list(light.ratios()), np.asarray(flat), doubt)
         lights = [one._replace(local=own) for one, own in zip(lights, local, strict=True)]
-        return light.times(np.stack([texels.factor(own) for own in local]), told), lights
+        factors, mouth = [texels.factor(own) for own in local], mouth_rows(model.head_model, texels.corners)
+        return light.times(np.stack(factors), told, mouth, [one.known for one in lights]), lights
 
     def _decoders(self, codes: Codes, surface: Surface, light: PhotoLight) -> dict[str, Tensor]:
         settings = self.preset.decoders

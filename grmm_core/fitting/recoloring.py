@@ -13,6 +13,7 @@ Called by `code_stage` and `decoder_stage`. Imports torch.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +23,7 @@ from torch import Tensor
 from ..geometry.libraries import as_like, present, to_numpy
 from ..light.mesh_light import FRONT, LitSurface, TexelGrid
 from ..light.relight import unlit
-from ..light.resting import texel_grid
+from ..light.resting import even_mouth, texel_grid
 from ..model.grmm import GRMM, Attributes
 from ..pictures.color import MIN_ALPHA
 from ..splat import rasterize
@@ -69,10 +70,19 @@ class PhotoLight:
         ratios: np.ndarray = spread[..., :3] / spread[..., 3:]
         return ratios
 
-    def times(self, factor: np.ndarray, told: np.ndarray) -> PhotoLight:
-        """The light times a factor at the texels, [P, N, 3], with `told` [P, N]."""
-        more = as_like(np.concatenate([factor, np.ones_like(factor[..., :1])], -1), self.spread)
-        return PhotoLight(self.spread * more, self.grid, self.trust, as_like(told, self.spread))
+    def times(
+        self, factor: np.ndarray, told: np.ndarray, mouth: tuple[np.ndarray, np.ndarray], known: Sequence[bool]
+    ) -> PhotoLight:  # fmt: skip
+        """The light times a factor at the texels, [P, N, 3], with `told` [P, N].
+
+        That in mouths, with rows as of `mouth_rows`, is the lips' again in photos whose light is known, as sessions have it.
+        """
+        spread = to_numpy(self.spread).copy()
+        spread[..., :3] *= factor
+        for photo, found in zip(spread, known, strict=True):
+            if found:
+                even_mouth(*mouth, photo, 3)
+        return PhotoLight(as_like(spread, self.spread), self.grid, self.trust, as_like(told, self.spread))
 
     def tells(self, index: int) -> Tensor:
         """How far a photo tells the texels' colors, 0..1, [N]: in deep shadow, which light is never known well, it does not."""

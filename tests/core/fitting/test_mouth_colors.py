@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
 
@@ -9,8 +10,10 @@ from grmm_core.controls.names import ALIGNED_NAMES
 from grmm_core.fitting.inpainting import fill_colors
 from grmm_core.fitting.mouth_colors import DETAIL, LIPS_DETAIL, TEETH_LIGHT
 from grmm_core.fitting.objective import decode, draw
+from grmm_core.fitting.recoloring import PhotoLight
 from grmm_core.fitting.surface import INNER, SKIN, texel_surface
 from grmm_core.geometry.camera import Camera
+from grmm_core.light.resting import mouth_rows
 
 PALE, RED, WHITE, DARK = (
     torch.tensor(color) for color in ([0.7, 0.55, 0.45], [0.7, 0.4, 0.35], [0.8, 0.78, 0.7], [0.3, 0.1, 0.1])
@@ -117,3 +120,16 @@ def test_a_fit_can_make_lips_as_light_as_a_photo_shows_them(bare, surface):
     covered = light.alpha > 0.99
     assert float(light.raw[covered].min()) > 0.97, "not held before they are made darker"
     assert float(light.raw.max()) <= 1.0 + 1e-5
+
+
+def test_local_light_on_lips_is_that_in_the_mouth_of_a_photo_whose_light_is_known(bare, surface):
+    """As a session has it, or teeth that a fit made for other light would glow or be grey."""
+    count, rows = len(surface.lips), mouth_rows(bare.head_model, bare.lit_texels.corners)
+    even, factor = np.ones((2, count, 4), np.float32), np.ones((2, count, 3), np.float32)
+    factor[:, surface.lips.numpy()] = 1.4
+    light = PhotoLight.of(bare, even, np.ones(2)).times(factor, np.ones((2, count)), rows, [True, False])
+    known, rig = light.ratios()
+    teeth = surface.teeth.numpy()
+    np.testing.assert_allclose(known[teeth], 1.25 * 1.4, rtol=1e-5)
+    np.testing.assert_allclose(rig[teeth], 1.0)
+    np.testing.assert_allclose(known[~teeth & ~surface.inside.numpy()], factor[0, ~teeth & ~surface.inside.numpy()])

@@ -13,15 +13,18 @@ import numpy as np
 import torch
 
 from ..avatar import Avatar
+from ..geometry.triangles import vertex_normals
 from ..geometry.zbuffer import triangle_depth
 from ..hair.body import cut
 from ..hair.coloring import hiding_faces
+from ..hair.grids import nearest
 from ..hair.groom import TINTS, Groom
 from ..hair.roots import SCALP
 from ..head import HeadModel
 from ..model.grmm import GRMM
 from ..photo.parser import PhotoParts
 from ..photo.widening import widened
+from .hair_shape import BEHIND
 from .hair_texture import Onto, Photo, joined, photos_of
 from .invert import photo_model_inputs
 from .types import PhotoTrack
@@ -29,7 +32,10 @@ from .types import PhotoTrack
 # pixels that a place must show in, hair in these below which it is wrong and above which right, and the part of all hair from
 # which on the photo is not believed
 SEEN, WRONG, RIGHT, MOST_CUT = 0.06, 0.3, 0.6, 0.5
-STUBBLE = 0.008  # metres that are left of a strand whose root no photo shows to be bare: a scalp behind the horizon is none
+# metres that are left of a strand, and the part of it below which it is taken away where the scalp that is seen nearest to its
+# root is bare: a scalp behind the horizon is what it is before it
+STUBBLE, SHORTEST = 0.008, 0.2
+AROUND, MOSTLY_BARE = 40, 0.6  # vertices of the scalp that are asked for that, and the share of them: hair's rim is blurred
 LIKELY = 0.5  # of a pixel, from where on it is hat, or hair, or tells something
 ROOT = 3  # places of a strand of which the first that is seen tells what it stands on
 FACING = 0.15  # cosine between the skin's normal and the view, below which that is not believed: at the head's sides
@@ -65,7 +71,9 @@ def trimmed(model: GRMM, avatar: Avatar, tracks: Sequence[PhotoTrack], parts: Se
         first_seen = seen.argmax(1)
         bare = (seen & wrong)[np.arange(len(groom)), first_seen] & (photo.facing > FACING) & (first_seen < ROOT)
         rootless |= seen.any(1) & bare
-        left = np.minimum(left, (first - 0.5) / (TINTS - 1))
+        mine = (first - 0.5) / (TINTS - 1)
+        rootless |= (mine <= SHORTEST) & _beside_bare_scalp(groom, model.head_model, vertices, photo)
+        left = np.minimum(left, mine)
     if np.where(rootless, 1.0, 1.0 - left.clip(0.0)).mean() > MOST_CUT:
         return avatar
     even = groom.resampled(int(groom.counts.max()))
@@ -73,6 +81,24 @@ def trimmed(model: GRMM, avatar: Avatar, tracks: Sequence[PhotoTrack], parts: Se
     points = cut(even.points.reshape(len(even), -1, 3), left).reshape(-1, 3)
     kept = dataclasses.replace(even, points=points).select(~rootless)
     return joined(avatar, hair, kept, hair.groom.select(~scalp))
+
+
+def _beside_bare_scalp(groom: Groom, head: HeadModel, vertices: np.ndarray, photo: Photo) -> np.ndarray:
+    """Strands whose roots lie nearest to scalp that a photo shows bare, of all that it shows, [N] bool."""
+    template, posed = np.asarray(head.v_template, float), np.asarray(vertices, float)
+    local, pixels = photo.camera.project(posed)
+    depth = triangle_depth(posed[hiding_faces(head)], photo.camera)
+    column, row = (pixels[:, k].astype(int).clip(0, size - 1) for k, size in ((0, depth.shape[1]), (1, depth.shape[0])))
+    way = photo.camera.position - posed
+    facing = (vertex_normals(posed, np.asarray(head.faces)) * way).sum(1) / np.linalg.norm(way, axis=1)
+    seen = head.marked("scalp") & (facing > FACING) & (local[:, 2] < depth[row, column] + BEHIND)
+    seen &= (pixels >= 0.0).all(1) & (pixels < depth.shape[::-1]).all(1) & (photo.counts.numpy() > LIKELY)[row, column]
+    if not seen.any():
+        return np.zeros(len(groom), bool)
+    bare = photo.hair.numpy()[row, column][seen] < WRONG
+    roots = groom.frames(template, head.faces).at(template)[0]
+    found: np.ndarray = bare[nearest(template[seen], roots, AROUND)[0]].mean(1) > MOSTLY_BARE
+    return found
 
 
 def _hidden(groom: Groom, head: HeadModel, vertices: np.ndarray, photo: Photo) -> tuple[np.ndarray, np.ndarray]:

@@ -177,6 +177,24 @@ def test_hair_that_hangs_out_from_behind_a_head_ends_where_the_photo_has_none(se
     assert 0.9 * STUBBLE < kept.lengths.min() < 0.5 * scalp.lengths.min()
 
 
+def test_behind_a_bald_forehead_no_stubble_stands(session, model, tmp_path):
+    light, head = light_from_a_side(), model.head_model
+    avatar, track = colored(session, light, library_groom("quiff", head.name))
+    shown = worn(session, avatar, head, track.camera, light, tmp_path / "person.grmm")["hair"][..., 0]
+    rows = np.flatnonzero(shown.sum(1) > 1.0)
+    sides = shown * (np.arange(SIDE) > rows[0] + 0.45 * np.ptp(rows))[:, None]  # what is above is skin
+    template = np.asarray(head.v_template, float)
+    tops = []
+    for hair in (shown, sides):
+        groom = trimmed(model, avatar, [track], [parts_of(1.0 - hair, hair=hair)]).hair.groom
+        scalp = groom.select(groom.groups == SCALP)
+        roots = scalp.frames(template, head.faces).at(template)[0]
+        tops.append(int(((roots[:, 1] > 0.1) & (roots[:, 2] > 0.0)).sum()))
+    full, bald = tops
+    assert full > 500
+    assert bald < 0.2 * full
+
+
 def test_the_mouth_of_a_photos_light_is_the_lips_and_the_rest_is_as_before(session, model):
     head, light = model.head_model, light_from_a_side()
     controls = Controls().set_named({"jawOpen": 0.8})

@@ -86,13 +86,10 @@ def trimmed(model: GRMM, avatar: Avatar, tracks: Sequence[PhotoTrack], parts: Se
 def _beside_bare_scalp(groom: Groom, head: HeadModel, vertices: np.ndarray, photo: Photo) -> np.ndarray:
     """Strands whose roots lie nearest to scalp that a photo shows bare, of all that it shows, [N] bool."""
     template, posed = np.asarray(head.v_template, float), np.asarray(vertices, float)
-    local, pixels = photo.camera.project(posed)
-    depth = triangle_depth(posed[hiding_faces(head)], photo.camera)
-    column, row = (pixels[:, k].astype(int).clip(0, size - 1) for k, size in ((0, depth.shape[1]), (1, depth.shape[0])))
     way = photo.camera.position - posed
     facing = (vertex_normals(posed, np.asarray(head.faces)) * way).sum(1) / np.linalg.norm(way, axis=1)
-    seen = head.marked("scalp") & (facing > FACING) & (local[:, 2] < depth[row, column] + BEHIND)
-    seen &= (pixels >= 0.0).all(1) & (pixels < depth.shape[::-1]).all(1) & (photo.counts.numpy() > LIKELY)[row, column]
+    told, row, column = _told(posed, head, vertices, photo, BEHIND)
+    seen = told & head.marked("scalp") & (facing > FACING)
     if not seen.any():
         return np.zeros(len(groom), bool)
     bare = photo.hair.numpy()[row, column][seen] < WRONG
@@ -104,11 +101,20 @@ def _beside_bare_scalp(groom: Groom, head: HeadModel, vertices: np.ndarray, phot
 def _hidden(groom: Groom, head: HeadModel, vertices: np.ndarray, photo: Photo) -> tuple[np.ndarray, np.ndarray]:
     """Places of strands before or beside the head that lie beside a photo's hair, and in it, [N, TINTS] bool each."""
     even = groom.resampled(TINTS)
-    local, pixels = photo.camera.project(even.posed(even.frames(np.asarray(head.v_template, float), head.faces), vertices))
-    depth = triangle_depth(np.asarray(vertices, float)[hiding_faces(head)], photo.camera)
-    column, row = (pixels[:, k].astype(int).clip(0, size - 1) for k, size in ((0, depth.shape[1]), (1, depth.shape[0])))
-    inside = (pixels >= 0.0).all(1) & (pixels < depth.shape[::-1]).all(1)
-    told = inside & (local[:, 2] < depth[row, column]) & (photo.counts.numpy() > LIKELY)[row, column]
+    places = even.posed(even.frames(np.asarray(head.v_template, float), head.faces), vertices)
+    told, row, column = _told(places, head, vertices, photo)
     around = widened(photo.hair[None], RIM)[0].numpy()
     beside, within = told & (around < WRONG)[row, column], told & (photo.hair.numpy() > RIGHT)[row, column]
     return beside.reshape(len(groom), TINTS), within.reshape(len(groom), TINTS)
+
+
+def _told(
+    places: np.ndarray, head: HeadModel, vertices: np.ndarray, photo: Photo, behind: float = 0.0
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+    """Whether a photo tells what is at places [P, 3], at most so many metres `behind` the skin; their rows and columns, [P]."""
+    local, pixels = photo.camera.project(places)
+    depth = triangle_depth(np.asarray(vertices, float)[hiding_faces(head)], photo.camera)
+    column, row = (pixels[:, k].astype(int).clip(0, size - 1) for k, size in ((0, depth.shape[1]), (1, depth.shape[0])))
+    inside = (pixels >= 0.0).all(1) & (pixels < depth.shape[::-1]).all(1)
+    told = inside & (local[:, 2] < depth[row, column] + behind) & (photo.counts.numpy() > LIKELY)[row, column]
+    return told, row, column
